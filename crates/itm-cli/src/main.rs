@@ -1,0 +1,2 @@
+//! The `itm` program.
+fn main() {}

@@ -1,0 +1,1 @@
+//! How far a trajectory is from the truth: absolute trajectory error and relative pose error.

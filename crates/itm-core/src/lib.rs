@@ -1,0 +1,32 @@
+//! The vocabulary of itm: poses, cameras, calibrations, images, frames, voxels, settings, trajectories and meshes.
+//!
+//! Nothing here opens a file, starts a thread or knows of a GPU.
+//!
+//! # Conventions
+//! - Poses are named for what they do: `world_from_camera` takes camera coordinates to world coordinates, and
+//!   `a_from_b * b_from_c` is `a_from_c`.
+//! - A camera looks along +z, x points right and y down. Lengths are metres, angles radians, times nanoseconds.
+//! - Pixel `(0, 0)` is the centre of the upper left pixel.
+
+mod calibration;
+mod camera;
+pub mod evaluation;
+mod frame;
+mod image;
+mod mesh;
+mod se3;
+mod settings;
+mod trajectory;
+pub mod voxel;
+
+pub use calibration::{Calibration, CalibrationError, DepthConversion};
+pub use camera::Intrinsics;
+pub use frame::{DepthImage, Frame, Timestamp};
+pub use image::{ColourImage, Image, ImageSizeError};
+pub use mesh::Mesh;
+pub use se3::{PoseError, Se3};
+pub use settings::{
+    BilateralSettings, DeviceSettings, IcpSettings, MapSettings, OnFailure, Settings, SettingsError, TrackerSettings,
+    ViewSettings,
+};
+pub use trajectory::{StampedPose, Trajectory};

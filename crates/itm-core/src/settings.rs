@@ -1,0 +1,362 @@
+//! The settings of a run: one tree, documented where it is defined, unknown keys refused.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// All settings of a run.
+///
+/// They come from a TOML file, then `key=value` overrides (`map.voxel_size_m=0.01`), then a program's own flags, later
+/// ones winning. Every run writes the resolved tree beside its results.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Which adapter computes.
+    pub device: DeviceSettings,
+    /// From raw images to what tracking and fusion use.
+    pub view: ViewSettings,
+    /// The volumetric map.
+    pub map: MapSettings,
+    /// How the camera is tracked.
+    pub tracker: TrackerSettings,
+}
+
+/// Which adapter computes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DeviceSettings {
+    /// `auto` for the best one, a number from `itm devices`, or a part of the adapter's name.
+    pub adapter: String,
+}
+
+impl Default for DeviceSettings {
+    fn default() -> Self {
+        Self { adapter: "auto".into() }
+    }
+}
+
+/// From raw images to what tracking and fusion use.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ViewSettings {
+    /// Depth below this many metres is ignored.
+    pub min_depth_m: f32,
+    /// Depth beyond this many metres is ignored.
+    pub max_depth_m: f32,
+    /// Smoothing of depth that keeps edges.
+    pub bilateral: BilateralSettings,
+    /// Whether colour is used where the recording has it.
+    pub colour: bool,
+}
+
+impl Default for ViewSettings {
+    fn default() -> Self {
+        Self { min_depth_m: 0.2, max_depth_m: 3.0, bilateral: BilateralSettings::default(), colour: true }
+    }
+}
+
+/// A bilateral filter whose range follows a Kinect's noise: σ(z) = 0.0012 + 0.0019 (z - 0.4)² metres (Nguyen et al.
+/// 2012, *Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking*).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BilateralSettings {
+    /// Number of 5x5 passes; 0 switches the filter off.
+    pub passes: u32,
+}
+
+/// The volumetric map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MapSettings {
+    /// Edge of a voxel in metres.
+    pub voxel_size_m: f32,
+    /// Truncation band mu: distances are kept up to this many metres from a surface.
+    pub truncation_m: f32,
+    /// Observations after which a voxel's weight stops growing, at most 65535. A low one follows changes sooner.
+    pub max_weight: u16,
+    /// Whether voxels at the largest weight are left as they are.
+    pub stop_at_max_weight: bool,
+    /// Whether voxels hold colour, where the recording has it.
+    pub colour: bool,
+    /// Colour is fused where the distance to the surface is at most this share of the truncation band.
+    pub colour_band: f32,
+    /// Blocks (512 voxels each) that the pools hold at the start; they grow as needed.
+    pub initial_blocks: u32,
+    /// Blocks that the pools may hold at most; 0 leaves that to the adapter's limits.
+    pub max_blocks: u32,
+}
+
+impl Default for MapSettings {
+    fn default() -> Self {
+        Self {
+            voxel_size_m: 0.005,
+            truncation_m: 0.02,
+            max_weight: 100,
+            stop_at_max_weight: false,
+            colour: true,
+            colour_band: 0.25,
+            initial_blocks: 16_384,
+            max_blocks: 0,
+        }
+    }
+}
+
+/// How the camera is tracked, and what happens where that fails.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrackerSettings {
+    /// Point-to-plane ICP on depth.
+    pub icp: IcpSettings,
+    /// What happens to a frame whose tracking failed.
+    pub on_failure: OnFailure,
+}
+
+/// What happens to a frame whose tracking failed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OnFailure {
+    /// The frame gets no pose and is not fused; the next one is tracked from the last good pose.
+    #[default]
+    StopIntegrating,
+    /// The last good pose is taken for the frame's, and it is fused there.
+    Ignore,
+}
+
+/// Point-to-plane ICP on a pyramid (Newcombe et al. 2011, *KinectFusion*, section 3.5; the report, section 3.1.1).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct IcpSettings {
+    /// One letter a pyramid level, from coarse to fine: `r` estimates rotation, `t` translation, `b` both, `n` nothing.
+    pub levels: String,
+    /// Largest number of steps at the coarsest level.
+    pub max_steps_coarse: u32,
+    /// Largest number of steps at the finest level; those between are interpolated.
+    pub max_steps_fine: u32,
+    /// Largest distance of corresponding points at the coarsest level, in metres.
+    pub max_distance_coarse_m: f32,
+    /// Largest distance of corresponding points at the finest level, in metres; those between are interpolated.
+    pub max_distance_fine_m: f32,
+    /// A level ends when a step moves less than this (metres and radians, as the norm of the twist).
+    pub min_step: f64,
+    /// Tracking has failed where a smaller share of the frame's valid points finds a partner at the finest level.
+    pub min_inlier_share: f64,
+    /// Tracking has failed where fewer points find a partner at the finest level.
+    pub min_inliers: u32,
+}
+
+impl Default for IcpSettings {
+    fn default() -> Self {
+        Self {
+            levels: "rrrbb".into(),
+            max_steps_coarse: 10,
+            max_steps_fine: 4,
+            max_distance_coarse_m: 0.1,
+            max_distance_fine_m: 0.045,
+            min_step: 1e-4,
+            min_inlier_share: 0.2,
+            min_inliers: 1000,
+        }
+    }
+}
+
+/// Why settings cannot be used.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum SettingsError {
+    /// The file, or an override, is no valid TOML or has an unknown key or a value of the wrong kind. The message
+    /// lists the keys that would do.
+    #[error("{source_name}: {message}")]
+    Parse {
+        /// File name, or the override as given.
+        source_name: String,
+        /// What is wrong and where.
+        message: String,
+    },
+    /// An override that is not `key=value`.
+    #[error("'{given}' is not of the form key=value, as in map.voxel_size_m=0.01")]
+    NotAnOverride {
+        /// As given.
+        given: String,
+    },
+    /// A value out of its range.
+    #[error("{key} must be {expected}, not {found}")]
+    Value {
+        /// Full key.
+        key: &'static str,
+        /// What would do.
+        expected: &'static str,
+        /// What was found.
+        found: String,
+    },
+}
+
+impl Settings {
+    /// Resolves a settings file's text (with the name to show in errors) and overrides, later ones winning.
+    ///
+    /// An override's value is TOML where it parses as such, and a string otherwise: `tracker.icp.levels=rrb` needs no
+    /// quotes.
+    ///
+    /// # Errors
+    /// Unknown keys, wrong kinds and values out of range.
+    pub fn resolve(file: Option<(&str, &str)>, overrides: &[String]) -> Result<Self, SettingsError> {
+        let parse_error = |source_name: &str, message: &dyn std::fmt::Display| SettingsError::Parse {
+            source_name: source_name.into(),
+            message: message.to_string().trim_end().to_string(),
+        };
+        let mut tree = toml::Table::new();
+        if let Some((name, text)) = file {
+            // Deserialised once on its own, so that an error names the file's line.
+            toml::from_str::<Self>(text).map_err(|e| parse_error(name, &e))?;
+            tree = text.parse().map_err(|e| parse_error(name, &e))?;
+        }
+        for given in overrides {
+            let not_an_override = || SettingsError::NotAnOverride { given: given.clone() };
+            let (key, value) = given.split_once('=').ok_or_else(not_an_override)?;
+            let (key, value) = (key.trim(), value.trim());
+            let value = format!("v = {value}")
+                .parse::<toml::Table>()
+                .ok()
+                .and_then(|mut t| t.remove("v"))
+                .unwrap_or_else(|| toml::Value::String(value.into()));
+            let mut parts: Vec<&str> = key.split('.').collect();
+            let last = parts.pop().filter(|p| !p.is_empty()).ok_or_else(not_an_override)?;
+            let mut table = &mut tree;
+            for part in parts {
+                table = table
+                    .entry(part)
+                    .or_insert_with(|| toml::Value::Table(toml::Table::new()))
+                    .as_table_mut()
+                    .ok_or_else(|| parse_error(given, &format!("'{part}' is a value, not a group of settings")))?;
+            }
+            table.insert(last.into(), value);
+            Self::deserialize(tree.clone()).map_err(|e| parse_error(given, &e))?;
+        }
+        let settings = Self::deserialize(tree).map_err(|e| parse_error("settings", &e))?;
+        settings.validate()?;
+        Ok(settings)
+    }
+
+    /// The whole tree as TOML.
+    ///
+    /// # Panics
+    /// Never: every field has a TOML form.
+    pub fn to_toml(&self) -> String {
+        toml::to_string_pretty(self).expect("settings are tables of numbers, strings and switches")
+    }
+
+    /// Checks every value's range.
+    ///
+    /// # Errors
+    /// The first value out of range.
+    pub fn validate(&self) -> Result<(), SettingsError> {
+        fn check(
+            ok: bool,
+            key: &'static str,
+            expected: &'static str,
+            found: impl ToString,
+        ) -> Result<(), SettingsError> {
+            if ok { Ok(()) } else { Err(SettingsError::Value { key, expected, found: found.to_string() }) }
+        }
+        let Self { device: _, view, map, tracker: TrackerSettings { icp, on_failure: _ } } = self;
+        let in_range = |v: f32, lo: f32, hi: f32| v.is_finite() && v >= lo && v <= hi;
+        check(in_range(view.min_depth_m, 0.0, 1000.0), "view.min_depth_m", "between 0 and 1000", view.min_depth_m)?;
+        check(
+            in_range(view.max_depth_m, 0.0, 1000.0) && view.max_depth_m > view.min_depth_m,
+            "view.max_depth_m",
+            "larger than view.min_depth_m and at most 1000",
+            view.max_depth_m,
+        )?;
+        check(view.bilateral.passes <= 32, "view.bilateral.passes", "at most 32", view.bilateral.passes)?;
+        check(in_range(map.voxel_size_m, 1e-4, 10.0), "map.voxel_size_m", "between 0.0001 and 10", map.voxel_size_m)?;
+        check(
+            map.truncation_m.is_finite() && map.truncation_m >= map.voxel_size_m,
+            "map.truncation_m",
+            "at least map.voxel_size_m",
+            map.truncation_m,
+        )?;
+        check(map.max_weight >= 1, "map.max_weight", "at least 1", map.max_weight)?;
+        check(in_range(map.colour_band, 0.0, 1.0), "map.colour_band", "between 0 and 1", map.colour_band)?;
+        check(
+            (1..=1 << 24).contains(&map.initial_blocks),
+            "map.initial_blocks",
+            "between 1 and 16777216",
+            map.initial_blocks,
+        )?;
+        check(
+            !icp.levels.is_empty() && icp.levels.len() <= 8 && icp.levels.chars().all(|c| "rtbn".contains(c)),
+            "tracker.icp.levels",
+            "one to eight of the letters r, t, b, n",
+            &icp.levels,
+        )?;
+        check(
+            in_range(icp.max_distance_coarse_m, 1e-4, 10.0),
+            "tracker.icp.max_distance_coarse_m",
+            "between 0.0001 and 10",
+            icp.max_distance_coarse_m,
+        )?;
+        check(
+            in_range(icp.max_distance_fine_m, 1e-4, 10.0),
+            "tracker.icp.max_distance_fine_m",
+            "between 0.0001 and 10",
+            icp.max_distance_fine_m,
+        )?;
+        check(
+            icp.min_step.is_finite() && icp.min_step >= 0.0,
+            "tracker.icp.min_step",
+            "zero or positive",
+            icp.min_step,
+        )?;
+        check(
+            (0.0..=1.0).contains(&icp.min_inlier_share),
+            "tracker.icp.min_inlier_share",
+            "between 0 and 1",
+            icp.min_inlier_share,
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_written_reads_back() {
+        let settings = Settings::default();
+        assert_eq!(Settings::resolve(Some(("s.toml", &settings.to_toml())), &[]), Ok(settings));
+    }
+
+    #[test]
+    fn overrides_win_over_the_file_and_need_no_quotes() {
+        let file = "[map]\nvoxel_size_m = 0.02\ntruncation_m = 0.08\n";
+        let overrides = ["map.voxel_size_m=0.01".to_string(), "tracker.icp.levels=rb".to_string()];
+        let settings = Settings::resolve(Some(("s.toml", file)), &overrides).unwrap();
+        assert_eq!(settings.map.voxel_size_m, 0.01);
+        assert_eq!(settings.map.truncation_m, 0.08);
+        assert_eq!(settings.tracker.icp.levels, "rb");
+    }
+
+    #[test]
+    fn unknown_keys_are_refused_with_the_line_and_the_valid_ones() {
+        let error = Settings::resolve(Some(("my.toml", "[map]\nvoxel = 1\n")), &[]).unwrap_err().to_string();
+        assert!(error.contains("my.toml") && error.contains("line 2"), "{error}");
+        assert!(error.contains("voxel_size_m"), "{error}");
+        let error = Settings::resolve(None, &["map.voxels=1".into()]).unwrap_err().to_string();
+        assert!(error.contains("map.voxels=1") && error.contains("voxel_size_m"), "{error}");
+        assert!(matches!(Settings::resolve(None, &["map".into()]), Err(SettingsError::NotAnOverride { .. })));
+        assert!(Settings::resolve(None, &["map.max_weight.x=1".into(), "map.max_weight=5".into()]).is_err());
+    }
+
+    #[test]
+    fn values_out_of_range_are_refused() {
+        for bad in [
+            "map.voxel_size_m=0.0",
+            "map.voxel_size_m=nan",
+            "map.truncation_m=0.001",
+            "view.max_depth_m=0.1",
+            "view.min_depth_m=-1.0",
+            "tracker.icp.levels=rx",
+            "map.initial_blocks=0",
+        ] {
+            let error = Settings::resolve(None, &[bad.into()]).unwrap_err();
+            assert!(matches!(error, SettingsError::Value { .. }), "{bad}: {error}");
+        }
+    }
+}

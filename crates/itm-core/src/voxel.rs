@@ -1,0 +1,118 @@
+//! Voxels, blocks of voxels and their keys, as they lie in memory on host and device alike.
+//!
+//! Space is cut into blocks of 8x8x8 voxels (Nießner et al. 2013, *Real-time 3D Reconstruction at Scale using Voxel
+//! Hashing*, section 4). Voxel `(i, j, k)` of the whole map samples the signed distance at
+//! `voxel_size_m * (i, j, k)`: voxels sit on the lattice, not at the centres of cells.
+
+use glam::IVec3;
+
+/// Voxels along a block's edge.
+pub const BLOCK_SIDE: i32 = 8;
+/// Voxels in a block.
+pub const BLOCK_VOXELS: usize = 512;
+
+/// Where a block lies: a submap and the block's corner, in blocks. Packs into 64 bits, 16 for each part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct BlockKey {
+    /// Submap that the block belongs to.
+    pub submap: u16,
+    /// Corner in blocks: voxels `8 * position` to `8 * position + 7`. Each part fits 16 bits.
+    pub position: IVec3,
+}
+
+impl BlockKey {
+    /// As two words: `x | y << 16` and `z | submap << 16`, signed parts in two's complement.
+    pub fn pack(self) -> [u32; 2] {
+        let low = |v: i32| (v as u32) & 0xffff;
+        [low(self.position.x) | low(self.position.y) << 16, low(self.position.z) | u32::from(self.submap) << 16]
+    }
+
+    /// The inverse of [`BlockKey::pack`].
+    pub fn unpack([a, b]: [u32; 2]) -> Self {
+        let signed = |v: u32| i32::from(v as u16 as i16);
+        Self { submap: (b >> 16) as u16, position: IVec3::new(signed(a), signed(a >> 16), signed(b)) }
+    }
+}
+
+/// Index of voxel `(x, y, z)`, each 0 to 7, within its block.
+pub fn index_in_block(voxel: IVec3) -> usize {
+    (voxel.x + voxel.y * BLOCK_SIDE + voxel.z * BLOCK_SIDE * BLOCK_SIDE) as usize
+}
+
+/// A truncated signed distance and how often it was observed, packed into one word: the low half is
+/// `(1 - distance) / 2` as a 16-bit fixed-point number, the high half the weight. Zeroed memory is therefore space
+/// never seen: distance 1, weight 0.
+///
+/// The distance is in units of the truncation band, positive in front of surfaces.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(transparent)]
+pub struct DistanceVoxel(pub u32);
+
+impl DistanceVoxel {
+    /// Packs a distance (clamped to -1 to 1) and a weight.
+    pub fn new(distance: f32, weight: u16) -> Self {
+        let fixed = ((1.0 - distance.clamp(-1.0, 1.0)) * 32767.5).round() as u32;
+        Self(fixed | u32::from(weight) << 16)
+    }
+
+    /// Signed distance in units of the truncation band, between -1 and 1.
+    pub fn distance(self) -> f32 {
+        1.0 - (self.0 & 0xffff) as f32 * (1.0 / 32767.5)
+    }
+
+    /// Number of observations, up to the largest weight.
+    pub fn weight(self) -> u16 {
+        (self.0 >> 16) as u16
+    }
+}
+
+/// A colour and how often it was observed, packed into one word: red, green, blue, weight from the lowest byte up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(transparent)]
+pub struct ColourVoxel(pub u32);
+
+impl ColourVoxel {
+    /// Packs a colour and a weight.
+    pub fn new(rgb: [u8; 3], weight: u8) -> Self {
+        Self(u32::from_le_bytes([rgb[0], rgb[1], rgb[2], weight]))
+    }
+
+    /// Red, green, blue.
+    pub fn rgb(self) -> [u8; 3] {
+        let [r, g, b, _] = self.0.to_le_bytes();
+        [r, g, b]
+    }
+
+    /// Number of observations, up to 255.
+    pub fn weight(self) -> u8 {
+        self.0.to_le_bytes()[3]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn keys_survive_packing(submap: u16, x: i16, y: i16, z: i16) {
+            let key = BlockKey { submap, position: IVec3::new(x.into(), y.into(), z.into()) };
+            prop_assert_eq!(BlockKey::unpack(key.pack()), key);
+        }
+
+        #[test]
+        fn distances_survive_packing_to_half_a_step(distance in -1.0f32..1.0, weight: u16) {
+            let voxel = DistanceVoxel::new(distance, weight);
+            prop_assert!((voxel.distance() - distance).abs() <= 0.5 / 32767.5 + 1e-6);
+            prop_assert_eq!(voxel.weight(), weight);
+        }
+    }
+
+    #[test]
+    fn zeroed_memory_is_space_never_seen() {
+        assert_eq!(DistanceVoxel::default().distance(), 1.0);
+        assert_eq!(DistanceVoxel::default().weight(), 0);
+        assert_eq!(DistanceVoxel::new(-1.0, 3).distance(), -1.0);
+    }
+}
