@@ -107,13 +107,18 @@ impl Se3 {
             ((1.0 - theta.cos()) / theta2, (theta - theta.sin()) / (theta2 * theta))
         };
         let wv = w.cross(v);
-        Self { rotation: DQuat::from_scaled_axis(w), translation: v + a * wv + b * w.cross(wv) }
+        // Not glam's from_scaled_axis: it rounds rotations below about 1e-8 rad to the identity.
+        let half_sinc = if theta < 1e-4 { 0.5 - theta2 / 48.0 } else { (0.5 * theta).sin() / theta };
+        let rotation = DQuat::from_vec4((half_sinc * w).extend((0.5 * theta).cos())).normalize();
+        Self { rotation, translation: v + a * wv + b * w.cross(wv) }
     }
 
     /// The logarithm: the twist `(v, ω)` with `Se3::exp(twist) == self` and a rotation angle of at most π.
     pub fn log(&self) -> [f64; 6] {
         let q = if self.rotation.w < 0.0 { -self.rotation } else { self.rotation };
-        let w = q.to_scaled_axis();
+        let sin_half = q.xyz().length();
+        let scale = if sin_half < 1e-5 { 2.0 / q.w } else { 2.0 * sin_half.atan2(q.w) / sin_half };
+        let w = scale * q.xyz();
         let theta2 = w.length_squared();
         let theta = theta2.sqrt();
         // Inverse of the left Jacobian: I - [w]/2 + c [w]^2.
