@@ -1,1 +1,5 @@
-//! TBD
+//! All that touches a file: recordings, calibrations, trajectories and meshes.
+
+mod error;
+
+pub use error::Error;
