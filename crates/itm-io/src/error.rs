@@ -1,21 +1,25 @@
 //! What can go wrong with a file.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use itm_core::CalibrationError;
 use thiserror::Error;
 
 /// Why a file could not be read or written: what was expected, what was found, and where.
+///
+/// Each message is a whole sentence that already holds its cause, so there is no chain of sources to print behind it.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum Error {
     /// The operating system refused to open, read, list or write something.
-    #[error("cannot {action} '{}': {source}", path.display())]
+    #[error("cannot {action} '{}': {reason}", path.display())]
     Io {
         /// What was tried: `open`, `read`, `list`, `write`.
         action: &'static str,
         /// On what.
         path: PathBuf,
         /// The operating system's reason.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// A line of a text file that is not of its format.
     #[error("'{}', line {line}: expected {expected}, found {found}", path.display())]
@@ -29,4 +33,143 @@ pub enum Error {
         /// What stands there.
         found: String,
     },
+    /// A calibration file whose numbers cannot be meant.
+    #[error("'{}': {reason}", path.display())]
+    Calibration {
+        /// The file.
+        path: PathBuf,
+        /// Which number, and why.
+        reason: CalibrationError,
+    },
+
+    /// A recording's path that is not there.
+    #[error("'{}' does not exist", path.display())]
+    NotFound {
+        /// The path as given.
+        path: PathBuf,
+    },
+    /// A recording's path that is a file.
+    #[error("'{}' is a file; a recording is a folder", path.display())]
+    NotAFolder {
+        /// The path as given.
+        path: PathBuf,
+    },
+    /// A folder in which no format of recording was recognised.
+    #[error("'{}' is of no known format; looked for {looked_for}", path.display())]
+    UnknownFormat {
+        /// The folder.
+        path: PathBuf,
+        /// What would have been recognised.
+        looked_for: String,
+    },
+    /// A folder that holds several recordings where one is needed.
+    #[error("'{}' holds several recordings ({}); name one of them", path.display(), names.join(", "))]
+    SeveralRecordings {
+        /// The folder.
+        path: PathBuf,
+        /// The recordings' names within it.
+        names: Vec<String>,
+    },
+    /// A recording without a single frame.
+    #[error("'{}' has no frames: expected {expected}", path.display())]
+    NoFrames {
+        /// The folder or list.
+        path: PathBuf,
+        /// What would have been a frame.
+        expected: String,
+    },
+    /// No depth image was taken close enough in time to a colour image.
+    #[error(
+        "none of the {depth_images} depth images in '{}' has a colour image in '{}' ({colour_images} images) within {tolerance_ms} ms; the closest two are {closest_s} s apart",
+        depth_list.display(), colour_list.display()
+    )]
+    NoAssociation {
+        /// The list of depth images.
+        depth_list: PathBuf,
+        /// Its length.
+        depth_images: usize,
+        /// The list of colour images.
+        colour_list: PathBuf,
+        /// Its length.
+        colour_images: usize,
+        /// Largest distance in time, in milliseconds.
+        tolerance_ms: i64,
+        /// Smallest distance in time that there is, in seconds.
+        closest_s: f64,
+    },
+    /// A recording whose cameras are known neither from a file nor from its format.
+    #[error(
+        "the cameras of '{}' are not known: put a calibration file there (calibration.txt or calib.txt), or name one",
+        path.display()
+    )]
+    NoCalibration {
+        /// The recording.
+        path: PathBuf,
+    },
+    /// A pattern for image files that cannot be followed.
+    #[error("the pattern '{pattern}' must have {expected}")]
+    Pattern {
+        /// As given.
+        pattern: String,
+        /// What would do.
+        expected: &'static str,
+    },
+
+    /// An image file that is cut off or damaged, or of a format that is not read here.
+    #[error("cannot decode '{}': {reason}", path.display())]
+    Decode {
+        /// The image file.
+        path: PathBuf,
+        /// The decoder's reason.
+        reason: String,
+    },
+    /// An image whose pixels are of another kind than expected.
+    #[error("'{}': expected {expected}, found {found}", path.display())]
+    PixelFormat {
+        /// The image file.
+        path: PathBuf,
+        /// What would do.
+        expected: &'static str,
+        /// What its pixels are.
+        found: String,
+    },
+    /// An image of another size than the calibration says.
+    #[error(
+        "'{}': expected an image of {}x{} pixels as in the calibration, found {}x{}",
+        path.display(), expected.0, expected.1, found.0, found.1
+    )]
+    ImageSize {
+        /// The image file.
+        path: PathBuf,
+        /// Width and height of the calibration's camera.
+        expected: (u32, u32),
+        /// The image's own width and height.
+        found: (u32, u32),
+    },
+    /// One frame of a recording could not be read; others may be.
+    #[error("frame {index}: {reason}")]
+    Frame {
+        /// The frame's number within the recording, from 0.
+        index: usize,
+        /// What went wrong.
+        reason: Box<Error>,
+    },
+    /// A frame beyond the end of a recording.
+    #[error("frame {index} was asked for, but the recording has {frames} frames")]
+    NoSuchFrame {
+        /// The number asked for, from 0.
+        index: usize,
+        /// Number of frames in the recording.
+        frames: usize,
+    },
+}
+
+impl Error {
+    pub(crate) fn io(action: &'static str, path: &Path, reason: std::io::Error) -> Self {
+        Self::Io { action, path: path.to_path_buf(), reason }
+    }
+
+    pub(crate) fn line(path: &Path, line: usize, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self::Line { path: path.to_path_buf(), line, expected: expected.into(), found: found.into() }
+    }
 }

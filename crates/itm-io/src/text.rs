@@ -1,6 +1,24 @@
 //! What the readers of text files share.
 
+use std::path::Path;
+
 use itm_core::Timestamp;
+
+use crate::Error;
+
+/// Reads a whole text file. Bytes that are not UTF-8 become replacement characters, so that they show up in the error
+/// about the line they stand in.
+pub(crate) fn read(path: &Path) -> Result<String, Error> {
+    let bytes = std::fs::read(path).map_err(|reason| Error::io("read", path, reason))?;
+    Ok(String::from_utf8(bytes).unwrap_or_else(|e| String::from_utf8_lossy(e.as_bytes()).into_owned()))
+}
+
+/// A string as shown in an error: in quotes, and cut where it is long.
+pub(crate) fn quoted(text: &str) -> String {
+    let mut chars = text.chars();
+    let start: String = chars.by_ref().take(60).collect();
+    if chars.next().is_some() { format!("'{start}…'") } else { format!("'{start}'") }
+}
 
 /// The lines of a text that hold data, with their numbers from 1: neither blank nor comments (`#`), without the spaces
 /// around them, a carriage return at the end or a byte order mark at the start of the text.
