@@ -1,2 +1,109 @@
-//! Tasks.
-fn main() {}
+//! The tasks of the workspace: `cargo xtask setup | test | ci | demo`.
+//!
+//! Plain Rust instead of scripts, and none of the workspace's own crates, so that it builds in seconds on a machine
+//! that has nothing but a Rust toolchain. The rules of the workspace that no compiler checks are tests of this package
+//! (`tests/workspace`).
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program, and what it prints is for people")]
+
+mod checks;
+mod demo;
+mod distribution;
+mod setup;
+mod steps;
+mod vulkan;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use clap::{Args, Parser, Subcommand};
+
+use crate::setup::Installing;
+
+/// The tasks of the itm workspace.
+#[derive(Parser)]
+#[command(bin_name = "cargo xtask")]
+struct Arguments {
+    #[command(subcommand)]
+    task: Task,
+}
+
+#[derive(Subcommand)]
+enum Task {
+    /// Look for a Vulkan adapter, and install the software driver where there is none
+    Setup(SetupArguments),
+    /// Check formatting, lints and documentation, then run every test and doc test
+    Test(CheckArguments),
+    /// What `test` does, and the licences and duplicates of all dependencies where cargo-deny is installed
+    Ci(CheckArguments),
+    /// Make a synthetic recording, reconstruct it, and say how good the result is
+    Demo(DemoArguments),
+}
+
+#[derive(Args)]
+struct SetupArguments {
+    /// Install nothing: where something is missing, say what to type and stop
+    #[arg(long)]
+    no_install: bool,
+}
+
+#[derive(Args)]
+struct CheckArguments {
+    #[command(flatten)]
+    setup: SetupArguments,
+    /// Go on after a failed step, and name all that failed at the end
+    #[arg(long)]
+    keep_going: bool,
+}
+
+#[derive(Args)]
+struct DemoArguments {
+    #[command(flatten)]
+    setup: SetupArguments,
+    /// Length of the synthetic recording, in frames
+    #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(2..))]
+    frames: u32,
+    /// Folder for the recording and the result [default: out/demo in the workspace, replaced at each run]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+impl SetupArguments {
+    fn installing(&self) -> Installing {
+        if self.no_install { Installing::Forbidden } else { Installing::Allowed }
+    }
+}
+
+fn main() -> Result<()> {
+    match Arguments::parse().task {
+        Task::Setup(arguments) => setup::adapter(arguments.installing()),
+        Task::Test(arguments) => checks::test(arguments.setup.installing(), arguments.keep_going),
+        Task::Ci(arguments) => checks::ci(arguments.setup.installing(), arguments.keep_going),
+        Task::Demo(arguments) => demo::demo(arguments.setup.installing(), arguments.frames, arguments.out.as_deref()),
+    }
+}
+
+/// The folder of the workspace's `Cargo.toml`.
+fn workspace_root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the workspace's folder")
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn a_demo_needs_two_frames() {
+        assert!(Arguments::try_parse_from(["xtask", "demo", "--frames", "1"]).is_err());
+        let Task::Demo(demo) = Arguments::try_parse_from(["xtask", "demo", "--frames", "2"]).unwrap().task else {
+            panic!("parsed as another task");
+        };
+        assert_eq!(demo.frames, 2);
+    }
+}
