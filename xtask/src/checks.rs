@@ -20,7 +20,7 @@ pub(crate) fn ci(installing: Installing, keep_going: bool) -> Result<()> {
     setup::adapter(installing)?;
     let mut steps = steps(keep_going);
     if succeeds(cargo().args(["deny", "--version"])) {
-        steps.insert(0, Step::new("deny", with_arguments(&["deny", "check"])));
+        steps.insert(0, Step::new("deny", with_arguments(&["deny", "check", "bans", "licenses", "sources"])));
     } else {
         println!("Licences and duplicates: not checked, for want of cargo-deny (cargo install --locked cargo-deny)");
     }

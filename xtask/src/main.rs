@@ -13,6 +13,7 @@ mod steps;
 mod vulkan;
 
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand};
@@ -73,7 +74,17 @@ impl SetupArguments {
     }
 }
 
-fn main() -> Result<()> {
+fn main() -> ExitCode {
+    // Printed here, because anyhow's own form adds a backtrace wherever RUST_BACKTRACE is set, as on many build servers.
+    let Err(error) = run() else { return ExitCode::SUCCESS };
+    eprintln!("error: {error}");
+    for cause in error.chain().skip(1) {
+        eprintln!("because {cause}");
+    }
+    ExitCode::FAILURE
+}
+
+fn run() -> Result<()> {
     match Arguments::parse().task {
         Task::Setup(arguments) => setup::adapter(arguments.installing()),
         Task::Test(arguments) => checks::test(arguments.setup.installing(), arguments.keep_going),

@@ -5,6 +5,7 @@ use std::process::Command;
 use anyhow::{Context as _, Result, bail};
 
 use crate::distribution::Distribution;
+use crate::steps::line;
 use crate::vulkan::Vulkan;
 
 /// Whether packages may be installed; that takes root or a sudo that asks for no password as well.
@@ -144,12 +145,12 @@ fn root_prefix(installing: Installing) -> Option<Vec<&'static str>> {
 
 /// Runs a command whose output is of interest only where it fails.
 fn run_quietly(command: &mut Command) -> Result<()> {
-    let output = command.output().with_context(|| format!("can't run {command:?}"))?;
+    let output = command.output().with_context(|| format!("can't run {}", line(command)))?;
     if output.status.success() {
         return Ok(());
     }
     let (stdout, stderr) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    bail!("{command:?} failed, {}:\n{stdout}{stderr}", output.status);
+    bail!("{} failed, {}:\n{stdout}{stderr}", line(command), output.status);
 }
 
 #[cfg(test)]

@@ -67,7 +67,7 @@ pub(crate) fn run(command: &mut Command) -> Result<Duration> {
 }
 
 /// The command as one would type it, without the folder of its program.
-fn line(command: &Command) -> String {
+pub(crate) fn line(command: &Command) -> String {
     let program = std::path::Path::new(command.get_program()).file_stem().unwrap_or_default();
     let words = std::iter::once(program).chain(command.get_args());
     words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ")
