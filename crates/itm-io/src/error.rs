@@ -70,6 +70,14 @@ pub enum Error {
         /// The recordings' names within it.
         names: Vec<String>,
     },
+    /// A format's name that is none of the known ones.
+    #[error("'{given}' is no known format of recordings; there are {known}")]
+    FormatName {
+        /// As given.
+        given: String,
+        /// The known ones.
+        known: String,
+    },
     /// A recording without a single frame.
     #[error("'{}' has no frames: expected {expected}", path.display())]
     NoFrames {
@@ -161,6 +169,34 @@ pub enum Error {
         index: usize,
         /// Number of frames in the recording.
         frames: usize,
+    },
+
+    /// A pose with numbers that are infinite or not numbers, which no trajectory file may hold.
+    #[error("the pose of frame {frame} is not finite and was not written to '{}'", path.display())]
+    PoseNotFinite {
+        /// The trajectory file.
+        path: PathBuf,
+        /// The frame's number within its recording.
+        frame: u64,
+    },
+    /// A mesh file's name whose extension is none of the formats that can be written.
+    #[error(
+        "cannot tell the mesh format of '{}' from its name: expected it to end in .ply, .obj, .stl or .glb",
+        path.display()
+    )]
+    MeshFormat {
+        /// The path as given.
+        path: PathBuf,
+    },
+    /// A mesh that no file can hold.
+    #[error("cannot write '{}': expected {expected}, found {found}", path.display())]
+    Mesh {
+        /// The mesh file.
+        path: PathBuf,
+        /// What would do.
+        expected: &'static str,
+        /// What the mesh holds.
+        found: String,
     },
 }
 

@@ -2,6 +2,8 @@
 
 pub mod calibration;
 mod error;
+pub mod mesh;
 mod text;
+pub mod trajectory;
 
 pub use error::Error;
