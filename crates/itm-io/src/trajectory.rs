@@ -229,4 +229,23 @@ mod tests {
         let error = TumWriter::create(Path::new("/dev/full"), TimeColumn::Seconds).unwrap_err().to_string();
         assert!(error.contains("cannot write '/dev/full'"), "{error}");
     }
+
+    #[test]
+    fn ground_truth_of_real_recordings_is_read() {
+        let Some(folder) = std::env::var_os("ITM_TEST_DATA").map(PathBuf::from) else {
+            eprintln!("skipped: ITM_TEST_DATA is not set");
+            return;
+        };
+        for (name, first) in [
+            ("tum_fr1_rpy_head/groundtruth.txt", 1_305_031_225_933_400_000),
+            ("icl_lr_kt2_head/livingRoom2.gt.freiburg", 1_000_000_000),
+        ] {
+            let truth = read_tum(&folder.join(name)).unwrap();
+            assert_eq!(truth.poses()[0].timestamp, Timestamp(first));
+            let e = itm_core::evaluation::evaluate(&truth, &truth, 0).unwrap();
+            assert_eq!(e.pairs, truth.len());
+            // Hand-held, and never further from itself than rounding.
+            assert!(e.path_length_m > 0.1 && e.ate.max < 1e-9 && e.rpe_rotation.max < 1e-7, "{e}");
+        }
+    }
 }
