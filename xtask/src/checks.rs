@@ -14,7 +14,7 @@ pub(crate) fn test(installing: Installing, keep_going: bool) -> Result<()> {
     run_all(steps(keep_going), keep_going)
 }
 
-/// What [`test`] does, and cargo-deny before it.
+/// The same, and cargo-deny before it.
 pub(crate) fn ci(installing: Installing, keep_going: bool) -> Result<()> {
     setup::components(installing)?;
     setup::adapter(installing)?;
