@@ -3,6 +3,7 @@
 pub mod calibration;
 mod error;
 pub mod mesh;
+pub mod recording;
 mod text;
 pub mod trajectory;
 
