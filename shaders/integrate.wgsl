@@ -1,0 +1,113 @@
+// Fuses a frame's depth, and colour, into the visible blocks of one page (Curless & Levoy 1996; Newcombe et al. 2011,
+// section 3.3; the report, section 3.3). Eight lanes take a block, each a column of x, so that they read neighbouring
+// words; eight blocks a workgroup.
+import package::shared::camera::{Camera, project, inside};
+import package::shared::map::{Map, VISIBLE, BLOCK_VOXELS, unpack_position};
+import package::shared::distance::{unpack_distance, unpack_weight, pack_distance};
+
+struct Params {
+    depth_camera: Camera,
+    colour_camera: Camera,
+    camera_from_world: mat4x4<f32>,
+    colour_from_world: mat4x4<f32>,
+    map: Map,
+    page: u32,
+    max_weight: u32,
+    stop_at_max_weight: u32,
+    // Share of the truncation band in which colour is fused.
+    colour_band: f32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> counters: array<u32>;
+@group(0) @binding(2) var<storage, read> visible: array<u32>;
+@group(0) @binding(3) var<storage, read> keys: array<vec2<u32>>;
+@group(0) @binding(4) var<storage, read> depth: array<f32>;
+@group(0) @binding(5) var<storage, read_write> distances: array<u32>;
+@if(colour) @group(0) @binding(6) var<storage, read> image: array<u32>;
+@if(colour) @group(0) @binding(7) var<storage, read_write> colours: array<u32>;
+
+@if(colour) fn texel(x: u32, y: u32) -> vec3<f32> {
+    return unpack4x8unorm(image[y * params.colour_camera.size.x + x]).rgb * 255.0;
+}
+
+@if(colour) fn fuse_colour(at: u32, world: vec3<f32>) {
+    let p = (params.colour_from_world * vec4(world, 1.0)).xyz;
+    if p.z <= 0.0 {
+        return;
+    }
+    let pixel = project(params.colour_camera, p);
+    if !inside(params.colour_camera, pixel) {
+        return;
+    }
+    let base = vec2<u32>(pixel);
+    let f = pixel - floor(pixel);
+    let next = min(base + vec2(1u), params.colour_camera.size - vec2(1u));
+    let upper = mix(texel(base.x, base.y), texel(next.x, base.y), f.x);
+    let lower = mix(texel(base.x, next.y), texel(next.x, next.y), f.x);
+    let observed = mix(upper, lower, f.y);
+
+    let word = colours[at];
+    let weight = word >> 24u;
+    let old = unpack4x8unorm(word).rgb * 255.0;
+    let change = (observed - old) / f32(weight + 1u);
+    // A mean of bytes would stop following once its steps round to zero. Moving by at least one towards the observation
+    // turns it into a running median there.
+    let least = select(vec3(0.0), sign(observed - old), abs(observed - old) >= vec3(1.0));
+    let moved = select(old + change, old + least, abs(change) < vec3(0.5));
+    let limit = min(params.max_weight, 255u);
+    colours[at] = pack4x8unorm(vec4(moved / 255.0, 0.0)) | (min(weight + 1u, limit) << 24u);
+}
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+) {
+    let voxel = params.map.voxel_size_m;
+    let per_mu = 1.0 / params.map.truncation_m;
+    let x = lane & 7u;
+    for (var i = group.x * 8u + (lane >> 3u); i < counters[VISIBLE]; i += groups.x * 8u) {
+        let block = visible[i];
+        if (block >> params.map.page_shift) != params.page {
+            continue;
+        }
+        let in_page = block & ((1u << params.map.page_shift) - 1u);
+        let corner = (vec3<f32>(unpack_position(keys[block])) * 8.0 + vec3(f32(x), 0.0, 0.0)) * voxel;
+        let corner_camera = (params.camera_from_world * vec4(corner, 1.0)).xyz;
+        let along_y = params.camera_from_world[1].xyz * voxel;
+        let along_z = params.camera_from_world[2].xyz * voxel;
+        for (var z = 0u; z < 8u; z++) {
+            for (var y = 0u; y < 8u; y++) {
+                let p = corner_camera + f32(y) * along_y + f32(z) * along_z;
+                if p.z <= 0.0 {
+                    continue;
+                }
+                // Nearest pixel: interpolating would mix foreground and background.
+                let pixel = project(params.depth_camera, p) + 0.5;
+                if any(pixel < vec2(0.0)) || any(pixel >= vec2<f32>(params.depth_camera.size)) {
+                    continue;
+                }
+                let measured = depth[u32(pixel.y) * params.depth_camera.size.x + u32(pixel.x)];
+                let eta = measured - p.z;
+                if measured <= 0.0 || eta < -params.map.truncation_m {
+                    continue;
+                }
+                let at = in_page * BLOCK_VOXELS + x + 8u * y + 64u * z;
+                let word = distances[at];
+                let weight = unpack_weight(word);
+                if params.stop_at_max_weight == 0u || weight < params.max_weight {
+                    let old = unpack_distance(word);
+                    let fused = old + (min(eta * per_mu, 1.0) - old) / f32(weight + 1u);
+                    distances[at] = pack_distance(fused, min(weight + 1u, params.max_weight));
+                }
+                @if(colour) {
+                    if abs(eta * per_mu) <= params.colour_band {
+                        fuse_colour(at, corner + vec3(0.0, f32(y), f32(z)) * voxel);
+                    }
+                }
+            }
+        }
+    }
+}
