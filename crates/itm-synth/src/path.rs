@@ -9,8 +9,8 @@ use itm_core::Se3;
 
 use crate::Error;
 
-/// A way through [`Scene::room`](crate::Scene::room), as a smooth function of time that repeats after its duration
-/// (for [`Path::Arc`]: after going the same way back).
+/// A way through [`Scene::room`](crate::Scene::room), as a smooth function of time that goes on after its duration: the
+/// arc goes back, the others start again.
 ///
 /// All derivatives exist, so that gyroscope and accelerometer follow from it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -175,11 +175,15 @@ impl Scene {
     /// Distance to the nearest object and its number, which is none of an object's in an empty scene.
     pub(crate) fn nearest(&self, p: Vec3) -> (f32, usize) {
         let mut best = (f32::INFINITY, usize::MAX);
-        if let Some(candidates) = self.grid.candidates(p) {
-            for &i in candidates {
-                let d = self.objects[i as usize].distance(p);
+        if let Some((candidates, from_centre)) = self.grid.candidates(p) {
+            for candidate in candidates {
+                // A distance changes by no more than the way gone; and the others are farther still.
+                if candidate.distance_at_centre - from_centre > best.0 {
+                    break;
+                }
+                let d = self.objects[candidate.object as usize].distance(p);
                 if d < best.0 {
-                    best = (d, i as usize);
+                    best = (d, candidate.object as usize);
                 }
             }
         } else {
@@ -198,12 +202,24 @@ impl Scene {
 #[derive(Clone, Debug)]
 struct Grid {
     min: Vec3,
+    cell_m: f32,
     cells_per_m: f32,
     size: IVec3,
     /// Where each cell's list starts and ends in `lists`.
     cells: Vec<[u32; 2]>,
-    lists: Vec<u32>,
+    lists: Vec<Candidate>,
 }
+
+/// An object that can be nearest to a point in a cell.
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    object: u32,
+    /// Its distance in metres from the cell's centre, by which a cell's candidates are sorted.
+    distance_at_centre: f32,
+}
+
+/// Added to bounds on distances, so that rounding leaves no object out.
+const ROUNDING_M: f32 = 1e-4;
 
 impl Grid {
     /// Edge of a cell in metres, unless there would be more than `MAX_CELLS`.
@@ -215,7 +231,7 @@ impl Grid {
         let cell_m = Self::CELL_M.max((extent.element_product() / Self::MAX_CELLS).cbrt());
         let size = (extent / cell_m).ceil().as_ivec3();
         let cells = vec![[0, 0]; size.element_product() as usize];
-        let mut grid = Self { min: bounds.min, cells_per_m: cell_m.recip(), size, cells, lists: Vec::new() };
+        let mut grid = Self { min: bounds.min, cell_m, cells_per_m: cell_m.recip(), size, cells, lists: Vec::new() };
         let all: Vec<u32> = (0..objects.len() as u32).collect();
         grid.fill(objects, IVec3::ZERO, size, &all);
         grid
@@ -223,23 +239,25 @@ impl Grid {
 
     /// Fills the cells from `lo` up to but without `hi`, whose nearest objects are all among `candidates`.
     fn fill(&mut self, objects: &[Object], lo: IVec3, hi: IVec3, candidates: &[u32]) {
-        let cell_m = self.cells_per_m.recip();
+        let cell_m = self.cell_m;
         let centre = self.min + 0.5 * (lo + hi).as_vec3() * cell_m;
         let radius = 0.5 * (hi - lo).as_vec3().length() * cell_m;
         let distances: Vec<f32> = candidates.iter().map(|&i| objects[i as usize].distance(centre)).collect();
         let nearest = distances.iter().copied().fold(f32::INFINITY, f32::min);
         // On the way from the centre to any point of the box, no distance changes by more than the radius; so what is
-        // farther than the nearest by twice as much stays farther. The millimetre is for rounding.
-        let reach = nearest + 2.0 * radius + 1e-3;
-        let near: Vec<u32> = candidates.iter().zip(&distances).filter(|(_, d)| **d <= reach).map(|(i, _)| *i).collect();
+        // farther than the nearest by twice as much stays farther.
+        let reach = nearest + 2.0 * radius + ROUNDING_M;
+        let near = candidates.iter().zip(&distances).filter(|(_, d)| **d <= reach);
         let side = hi - lo;
         if side == IVec3::ONE {
-            let start = self.lists.len() as u32;
-            self.lists.extend_from_slice(&near);
+            let start = self.lists.len();
+            self.lists.extend(near.map(|(&object, d)| Candidate { object, distance_at_centre: d - ROUNDING_M }));
+            self.lists[start..].sort_by(|a, b| a.distance_at_centre.total_cmp(&b.distance_at_centre));
             let at = self.index(lo);
-            self.cells[at] = [start, self.lists.len() as u32];
+            self.cells[at] = [start as u32, self.lists.len() as u32];
             return;
         }
+        let near: Vec<u32> = near.map(|(i, _)| *i).collect();
         let axis = if side.x >= side.y && side.x >= side.z {
             IVec3::X
         } else if side.y >= side.z {
@@ -256,14 +274,17 @@ impl Grid {
         (cell.x + self.size.x * (cell.y + self.size.y * cell.z)) as usize
     }
 
-    /// Objects that can be nearest to a point, or `None` outside of the grid.
-    fn candidates(&self, p: Vec3) -> Option<&[u32]> {
-        let cell = ((p - self.min) * self.cells_per_m).floor().as_ivec3();
-        if cell.cmplt(IVec3::ZERO).any() || cell.cmpge(self.size).any() {
+    /// Objects that can be nearest to a point, those nearest to the cell's centre first, and how far in metres the point
+    /// is from that centre; or `None` outside of the grid.
+    fn candidates(&self, p: Vec3) -> Option<(&[Candidate], f32)> {
+        let in_cells = (p - self.min) * self.cells_per_m;
+        let cell = in_cells.as_ivec3();
+        if in_cells.cmplt(Vec3::ZERO).any() || cell.cmpge(self.size).any() {
             return None;
         }
+        let from_centre = (in_cells - cell.as_vec3() - 0.5).length() * self.cell_m;
         let [start, end] = self.cells[self.index(cell)];
-        Some(&self.lists[start as usize..end as usize])
+        Some((&self.lists[start as usize..end as usize], from_centre))
     }
 }
 

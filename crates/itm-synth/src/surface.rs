@@ -212,7 +212,6 @@ mod tests {
         assert_eq!(mesh.positions.len(), mesh.normals.len());
         assert_eq!(mesh.positions.len(), mesh.colours.len());
         for p in &mesh.positions {
-            // By hand, over all objects.
             assert!(scene.distance(*p).abs() < 1e-4, "{p} is {} m off", scene.distance(*p));
         }
         let (lo, hi) = mesh.bounds().unwrap();
