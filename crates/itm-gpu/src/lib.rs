@@ -1,1 +1,33 @@
-//! TBD
+//! The stages of itm as compute shaders on wgpu.
+//!
+//! State objects ([`View`], [`BlockMap`], [`RaycastImage`]) hold data; stages ([`view::ViewStage`],
+//! [`integrate::Integrate`] …) hold pipelines and record commands over state that they are given. Nothing here decides:
+//! when to grow a pool, which pose to try next, what to do after a failure, is itm-slam's business.
+//!
+//! A stage has one name everywhere: its shader, its module here, its pipelines' labels, its CPU reference in
+//! [`reference`](crate::reference), its tests and its column in the timings.
+
+pub mod allocate;
+mod device;
+mod error;
+pub mod hash;
+pub mod icp;
+pub mod integrate;
+mod map;
+pub mod mesh;
+pub mod normals;
+pub mod ranges;
+pub mod raycast;
+mod recorder;
+pub mod reference;
+pub mod render;
+mod scan;
+pub mod view;
+pub mod visible;
+
+pub use device::{AdapterKind, AdapterReport, Capabilities, Device};
+pub use error::Error;
+pub use map::{BlockMap, FrameRecord, MapLayout, RecordReader};
+pub use raycast::RaycastImage;
+pub use recorder::{Recorder, StageTimes};
+pub use view::View;

@@ -1,0 +1,80 @@
+//! What can go wrong on a device.
+
+use thiserror::Error;
+
+/// What can go wrong on a device.
+#[derive(Debug, Error)]
+pub enum Error {
+    /// No adapter at all.
+    #[error("no graphics adapter was found. {advice}")]
+    NoAdapter {
+        /// What to install on this platform.
+        advice: &'static str,
+    },
+    /// No adapter like the one asked for.
+    #[error("no graphics adapter matches '{wanted}'; there are: {found}")]
+    NoSuchAdapter {
+        /// What was asked for.
+        wanted: String,
+        /// The adapters that there are.
+        found: String,
+    },
+    /// An adapter that cannot run the stages.
+    #[error("{adapter} cannot run itm: it offers {found} {what}, {needed} are needed")]
+    AdapterTooSmall {
+        /// Its name.
+        adapter: String,
+        /// Which limit.
+        what: &'static str,
+        /// What it offers.
+        found: u64,
+        /// What is needed.
+        needed: u64,
+    },
+    /// The driver refused to open the adapter.
+    #[error("{adapter} could not be opened")]
+    Open {
+        /// Its name.
+        adapter: String,
+        /// The driver's reason.
+        #[source]
+        source: wgpu::RequestDeviceError,
+    },
+    /// The device stopped answering.
+    #[error("the graphics device was lost: {reason}")]
+    DeviceLost {
+        /// The driver's reason.
+        reason: String,
+    },
+    /// The device has no memory left.
+    #[error("the graphics device is out of memory: {reason}")]
+    OutOfMemory {
+        /// The driver's reason.
+        reason: String,
+    },
+    /// A view that reaches over more blocks than the device can index at once.
+    #[error(
+        "a view of {max_depth_m} m at a voxel size of {voxel_size_m} m reaches over {cells} blocks, this device indexes \
+         {limit}: lower view.max_depth_m or raise map.voxel_size_m"
+    )]
+    ViewTooLarge {
+        /// Farthest depth of the view.
+        max_depth_m: f32,
+        /// Edge of a voxel.
+        voxel_size_m: f32,
+        /// Blocks in the box around the view.
+        cells: u64,
+        /// What the device's largest buffer can index.
+        limit: u64,
+    },
+    /// An image whose size is not the calibration's.
+    #[error("the {image} image has {}x{} pixels, the calibration says {}x{}", found.0, found.1, expected.0, expected.1)]
+    ImageSize {
+        /// `depth` or `colour`.
+        image: &'static str,
+        /// Its width and height.
+        found: (u32, u32),
+        /// The calibration's.
+        expected: (u32, u32),
+    },
+}

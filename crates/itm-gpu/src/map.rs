@@ -1,0 +1,381 @@
+//! The voxel block map's memory.
+
+use glam::{DVec3, IVec3, UVec3};
+use itm_core::voxel::{BLOCK_SIDE, BLOCK_VOXELS};
+use itm_core::{Intrinsics, Se3};
+use itm_shaders::types;
+
+use crate::recorder::Recorder;
+use crate::{Device, Error};
+
+/// Bytes of one block in one plane.
+pub(crate) const BLOCK_BYTES: u64 = BLOCK_VOXELS as u64 * 4;
+/// Blocks that wait for room; more are dropped, and counted.
+pub(crate) const PENDING_CAPACITY: u32 = 1 << 18;
+pub(crate) const COUNTERS: u64 = 16;
+
+/// Words of the counters, as `shared/map.wgsl` names them.
+pub(crate) mod counter {
+    pub(crate) const VISIBLE: u32 = 2;
+    pub(crate) const REQUESTED: u32 = 3;
+    pub(crate) const FRAGMENTS: u32 = 6;
+    pub(crate) const TOMBSTONES: u32 = 8;
+    pub(crate) const SCRATCH: u32 = 9;
+}
+
+/// Words of the indirect dispatches' buffer.
+pub(crate) mod indirect {
+    pub(crate) const VISIBLE: u32 = 0;
+    pub(crate) const FRAGMENTS: u32 = 4;
+    pub(crate) const SCRATCH: u32 = 8;
+    pub(crate) const WORDS: u64 = 12;
+}
+
+/// What a map is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapLayout {
+    /// Edge of a voxel in metres.
+    pub voxel_size_m: f32,
+    /// Truncation band in metres.
+    pub truncation_m: f32,
+    /// Whether there is a colour plane.
+    pub colour: bool,
+}
+
+/// Voxel blocks and what finds them: planes of voxels in pages, a table of keys, a hash of block indices, a grid of block
+/// indices around the current view, lists of free, waiting and visible blocks.
+#[derive(Debug)]
+pub struct BlockMap {
+    device: Device,
+    layout: MapLayout,
+    capacity: u32,
+    hash_slots: u32,
+    page_shift: u32,
+    submap: u16,
+    grid_origin: IVec3,
+    grid_size: UVec3,
+    pub(crate) counters: wgpu::Buffer,
+    pub(crate) indirect: wgpu::Buffer,
+    pub(crate) keys: wgpu::Buffer,
+    pub(crate) hash: wgpu::Buffer,
+    pub(crate) free_blocks: wgpu::Buffer,
+    pub(crate) pending: wgpu::Buffer,
+    pub(crate) grid: wgpu::Buffer,
+    pub(crate) requests: wgpu::Buffer,
+    pub(crate) request_counts: wgpu::Buffer,
+    pub(crate) visible: wgpu::Buffer,
+    pub(crate) visible_bits: wgpu::Buffer,
+    pub(crate) visible_counts: wgpu::Buffer,
+    pub(crate) boxes: wgpu::Buffer,
+    pub(crate) fragment_counts: wgpu::Buffer,
+    pub(crate) distances: Vec<wgpu::Buffer>,
+    pub(crate) colours: Vec<wgpu::Buffer>,
+}
+
+/// A frame's record: the map's counters right after it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameRecord {
+    /// Blocks in use, and those on the free list.
+    pub blocks: u32,
+    /// Blocks on the free list.
+    pub free_blocks: u32,
+    /// Blocks in the view.
+    pub visible: u32,
+    /// New blocks that the frame asked for.
+    pub requested: u32,
+    /// New blocks that it got.
+    pub allocated: u32,
+    /// Requests that wait for room.
+    pub pending: u32,
+    /// Requests dropped so far, because even the waiting list was full.
+    pub dropped: u32,
+    /// Blocks removed since the hash was rebuilt.
+    pub tombstones: u32,
+}
+
+impl FrameRecord {
+    fn new(words: &[u32]) -> Self {
+        Self {
+            blocks: words[0],
+            free_blocks: words[1],
+            visible: words[2],
+            requested: words[3],
+            allocated: words[4],
+            pending: words[5],
+            dropped: words[7],
+            tombstones: words[8],
+        }
+    }
+}
+
+/// A frame's record on its way to the host.
+#[derive(Debug)]
+pub struct RecordReader {
+    staging: wgpu::Buffer,
+}
+
+impl RecordReader {
+    /// The record; waits for the frame's commands.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read(self, device: &Device) -> Result<FrameRecord, Error> {
+        let words: Vec<u32> = device.read_staging(&self.staging, COUNTERS * 4)?;
+        Ok(FrameRecord::new(&words))
+    }
+}
+
+impl BlockMap {
+    /// An empty map with room for `blocks` blocks (as many as the device can hold, if that is less).
+    ///
+    /// # Errors
+    /// Where the device has no room for them.
+    pub fn new(device: &Device, layout: MapLayout, blocks: u32) -> Result<Self, Error> {
+        let empty = || device.storage("empty", 16);
+        let mut map = Self {
+            device: device.clone(),
+            layout,
+            capacity: 0,
+            hash_slots: 0,
+            page_shift: device.capabilities().page_shift(),
+            submap: 0,
+            grid_origin: IVec3::ZERO,
+            grid_size: UVec3::ZERO,
+            counters: device.storage("counters", COUNTERS * 4),
+            indirect: device.storage("indirect", indirect::WORDS * 4),
+            keys: empty(),
+            hash: empty(),
+            free_blocks: empty(),
+            pending: device.storage("pending", u64::from(PENDING_CAPACITY) * 8),
+            grid: empty(),
+            requests: empty(),
+            request_counts: empty(),
+            visible: empty(),
+            visible_bits: empty(),
+            visible_counts: empty(),
+            boxes: empty(),
+            fragment_counts: empty(),
+            distances: Vec::new(),
+            colours: Vec::new(),
+        };
+        map.grow(blocks)?;
+        Ok(map)
+    }
+
+    /// What the map is made of.
+    pub fn layout(&self) -> &MapLayout {
+        &self.layout
+    }
+
+    /// Blocks that the pools can hold.
+    pub fn capacity(&self) -> u32 {
+        self.capacity
+    }
+
+    /// Blocks that the device can hold at most.
+    pub fn max_capacity(&self) -> u32 {
+        u32::try_from(self.device.capabilities().max_blocks()).unwrap_or(u32::MAX).min(1 << 30)
+    }
+
+    /// Bytes of device memory that the map takes.
+    pub fn device_bytes(&self) -> u64 {
+        let pages = self.distances.iter().chain(&self.colours);
+        let rest = [
+            &self.counters,
+            &self.indirect,
+            &self.keys,
+            &self.hash,
+            &self.free_blocks,
+            &self.pending,
+            &self.grid,
+            &self.requests,
+            &self.request_counts,
+            &self.visible,
+            &self.visible_bits,
+            &self.visible_counts,
+            &self.boxes,
+            &self.fragment_counts,
+        ];
+        pages.chain(rest).map(wgpu::Buffer::size).sum()
+    }
+
+    /// Makes room for `blocks` blocks, up to [`BlockMap::max_capacity`]. What the map holds stays; block indices too.
+    ///
+    /// # Errors
+    /// Where the device has run out of memory.
+    pub fn grow(&mut self, blocks: u32) -> Result<(), Error> {
+        let blocks = blocks.clamp(1, self.max_capacity());
+        if blocks <= self.capacity {
+            return Ok(());
+        }
+        let device = self.device.clone();
+        let mut recorder = Recorder::new(&device);
+        let mut replace = |buffer: &mut wgpu::Buffer, label: &str, bytes: u64, kept: u64| {
+            let grown = device.storage(label, bytes);
+            if kept > 0 {
+                recorder.copy(buffer, &grown, kept);
+            }
+            *buffer = grown;
+        };
+        let (new, old) = (u64::from(blocks), u64::from(self.capacity));
+        replace(&mut self.keys, "keys", new * 8, old * 8);
+        replace(&mut self.free_blocks, "free blocks", new * 4, old * 4);
+        replace(&mut self.visible, "visible", new * 4, old * 4);
+        replace(&mut self.visible_bits, "visible bits", new.div_ceil(32) * 4, 0);
+        replace(&mut self.visible_counts, "visible counts", new.div_ceil(32) * 4, 0);
+        replace(&mut self.boxes, "boxes", new * 16, 0);
+        replace(&mut self.fragment_counts, "fragment counts", new * 4, 0);
+
+        let page_blocks = 1_u64 << self.page_shift;
+        for (label, pages) in [("distances", Some(&mut self.distances)), ("colours", self.layout.colour.then_some(&mut self.colours))] {
+            let Some(pages) = pages else { continue };
+            let count = new.div_ceil(page_blocks) as usize;
+            for page in 0..count {
+                let wanted = (new - page as u64 * page_blocks).min(page_blocks) * BLOCK_BYTES;
+                match pages.get_mut(page) {
+                    None => pages.push(device.storage(label, wanted)),
+                    Some(buffer) if buffer.size() < wanted => {
+                        let kept = buffer.size();
+                        replace(buffer, label, wanted, kept);
+                    }
+                    Some(_) => {}
+                }
+            }
+        }
+        // At most half full, tombstones aside.
+        let slots = (2 * blocks).next_power_of_two();
+        if slots > self.hash_slots {
+            self.hash = device.storage("hash", u64::from(slots) * 4);
+            self.hash_slots = slots;
+            self.capacity = blocks;
+            crate::hash::Hash::new(&device).rebuild(&mut recorder, self);
+        }
+        self.capacity = blocks;
+        let _untimed = recorder.submit();
+        // So that the copies' sources are freed before anything else is made.
+        device.wait()
+    }
+
+    /// Lays the grid around a view: from now on it covers every block that the camera can see between its nearest and
+    /// farthest depth, and `margin_m` around them. The grid is empty until `allocate` has filled it.
+    ///
+    /// # Errors
+    /// Where the view reaches over more blocks than the device can index.
+    pub fn lay_grid(
+        &mut self,
+        camera: &Intrinsics,
+        world_from_camera: &Se3,
+        max_depth_m: f32,
+        margin_m: f32,
+    ) -> Result<(), Error> {
+        let mut lower = world_from_camera.translation;
+        let mut upper = lower;
+        for (x, y) in [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)] {
+            let (w, h) = (f64::from(camera.width), f64::from(camera.height));
+            let pixel = glam::DVec2::new((w - 1.0) * 0.5 + x * w, (h - 1.0) * 0.5 + y * h);
+            let corner = world_from_camera.transform_point(camera.unproject(pixel, f64::from(max_depth_m + margin_m)));
+            lower = lower.min(corner);
+            upper = upper.max(corner);
+        }
+        let block = f64::from(self.layout.voxel_size_m) * f64::from(BLOCK_SIDE);
+        let margin = DVec3::splat(f64::from(margin_m) + block);
+        let first = ((lower - margin) / block).floor().as_ivec3();
+        let last = ((upper + margin) / block).floor().as_ivec3();
+        let size = (last - first + IVec3::ONE).as_u64vec3();
+        let cells = size.x.saturating_mul(size.y).saturating_mul(size.z);
+        let limit = self.device.capabilities().max_binding_bytes / 4;
+        if cells > limit {
+            let voxel_size_m = self.layout.voxel_size_m;
+            return Err(Error::ViewTooLarge { max_depth_m, voxel_size_m, cells, limit });
+        }
+        self.grid_origin = first;
+        self.grid_size = size.as_uvec3();
+        let words = cells.div_ceil(32);
+        self.device.ensure(&mut self.grid, "grid", cells * 4);
+        self.device.ensure(&mut self.requests, "requests", words * 4);
+        self.device.ensure(&mut self.request_counts, "request counts", words.div_ceil(32) * 4);
+        Ok(())
+    }
+
+    /// Cells of the grid as it lies now.
+    pub(crate) fn cells(&self) -> u32 {
+        self.grid_size.x * self.grid_size.y * self.grid_size.z
+    }
+
+    pub(crate) fn page_shift(&self) -> u32 {
+        self.page_shift
+    }
+
+    /// The map as shaders see it.
+    pub(crate) fn params(&self) -> types::Map {
+        types::Map {
+            grid_origin: self.grid_origin.to_array(),
+            hash_mask: self.hash_slots - 1,
+            grid_size: self.grid_size.to_array(),
+            submap: self.submap.into(),
+            voxel_size_m: self.layout.voxel_size_m,
+            truncation_m: self.layout.truncation_m,
+            page_shift: self.page_shift,
+            capacity: self.capacity,
+        }
+    }
+
+    /// Records a copy of the counters; the result reads them once the recording has been done.
+    pub fn record_counters(&self, recorder: &mut Recorder) -> RecordReader {
+        let staging = self.device.staging("frame record", COUNTERS * 4);
+        recorder.copy(&self.counters, &staging, COUNTERS * 4);
+        RecordReader { staging }
+    }
+
+    /// Reads the counters; waits for all that was submitted.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read_record(&self) -> Result<FrameRecord, Error> {
+        Ok(FrameRecord::new(&self.device.read::<u32>(&self.counters, 0, COUNTERS * 4)?))
+    }
+
+    /// Reads the keys of all blocks back, by block index; `None` for blocks that are not in use. Waits.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read_keys(&self) -> Result<Vec<Option<itm_core::voxel::BlockKey>>, Error> {
+        let blocks = self.read_record()?.blocks;
+        if blocks == 0 {
+            return Ok(Vec::new());
+        }
+        let packed: Vec<[u32; 2]> = self.device.read(&self.keys, 0, u64::from(blocks) * 8)?;
+        Ok(packed.into_iter().map(|k| (k != [u32::MAX; 2]).then(|| itm_core::voxel::BlockKey::unpack(k))).collect())
+    }
+
+    /// Reads one block's distances back (512, indexed as `itm_core::voxel::index_in_block` says). Waits.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read_distances(&self, block: u32) -> Result<Vec<itm_core::voxel::DistanceVoxel>, Error> {
+        self.read_block(&self.distances, block)
+    }
+
+    /// Reads one block's colours back; empty where the map has none. Waits.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read_colours(&self, block: u32) -> Result<Vec<itm_core::voxel::ColourVoxel>, Error> {
+        if self.colours.is_empty() { Ok(Vec::new()) } else { self.read_block(&self.colours, block) }
+    }
+
+    fn read_block<T: bytemuck::Pod>(&self, pages: &[wgpu::Buffer], block: u32) -> Result<Vec<T>, Error> {
+        let in_page = block & ((1 << self.page_shift) - 1);
+        self.device.read(&pages[(block >> self.page_shift) as usize], u64::from(in_page) * BLOCK_BYTES, BLOCK_BYTES)
+    }
+}
+
+/// A camera as shaders see it.
+pub(crate) fn camera_params(camera: &Intrinsics, depth_range_m: [f32; 2]) -> types::Camera {
+    types::Camera {
+        focal: [camera.fx as f32, camera.fy as f32],
+        centre: [camera.cx as f32, camera.cy as f32],
+        size: [camera.width, camera.height],
+        depth_range: depth_range_m,
+    }
+}

@@ -1,0 +1,116 @@
+//! Stage `raycast`: the surface that each pixel sees (the report, section 3.4).
+
+use std::sync::OnceLock;
+
+use itm_core::{Image, Intrinsics, Se3};
+use itm_shaders::raycast;
+
+use crate::map::camera_params;
+use crate::ranges::range_size;
+use crate::recorder::{Groups, Pipeline};
+use crate::{BlockMap, Device, Error, Recorder};
+
+/// The map as seen from a pose: a range image, surface points and normals, at a camera's resolution.
+#[derive(Debug)]
+pub struct RaycastImage {
+    camera: Intrinsics,
+    pub(crate) ranges: wgpu::Buffer,
+    pub(crate) points: wgpu::Buffer,
+    pub(crate) normals: wgpu::Buffer,
+}
+
+impl RaycastImage {
+    /// An image for a camera, empty until it is recorded.
+    pub fn new(device: &Device, camera: Intrinsics) -> Self {
+        let [width, height] = range_size(&camera);
+        let bytes = camera.pixels() as u64 * 16;
+        Self {
+            camera,
+            ranges: device.storage("ranges", u64::from(width) * u64::from(height) * 8),
+            points: device.storage("points", bytes),
+            normals: device.storage("normals", bytes),
+        }
+    }
+
+    /// The camera.
+    pub fn camera(&self) -> &Intrinsics {
+        &self.camera
+    }
+
+    /// Reads the points back: world coordinates in metres, and one plus the smallest weight of the eight voxels around;
+    /// all zero where a ray hits nothing. Waits. For tests, exports and pictures.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read_points(&self, device: &Device) -> Result<Image<[f32; 4]>, Error> {
+        self.read_image(device, &self.points)
+    }
+
+    /// Reads the normals back: unit vectors in the world frame, towards the camera, and 1; all zero where there is none.
+    /// Waits. For tests, exports and pictures.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read_normals(&self, device: &Device) -> Result<Image<[f32; 4]>, Error> {
+        self.read_image(device, &self.normals)
+    }
+
+    fn read_image(&self, device: &Device, buffer: &wgpu::Buffer) -> Result<Image<[f32; 4]>, Error> {
+        let values = device.read(buffer, 0, self.camera.pixels() as u64 * 16)?;
+        Ok(Image::new(self.camera.width, self.camera.height, values).expect("as many values as pixels"))
+    }
+}
+
+/// The features of a shader variant for so many pages.
+pub(crate) fn page_features(pages: usize) -> &'static [&'static str] {
+    &["pages2", "pages3", "pages4"][..pages.clamp(1, 4) - 1]
+}
+
+/// The stage's pipelines, compiled when first needed: one for each number of pages.
+#[derive(Debug)]
+pub struct Raycast {
+    device: Device,
+    variants: [OnceLock<Pipeline>; 4],
+}
+
+impl Raycast {
+    /// Prepares the stage.
+    pub fn new(device: &Device) -> Self {
+        Self { device: device.clone(), variants: Default::default() }
+    }
+
+    /// Records the stage for the image's camera at a pose, along the rays' ranges that `ranges` found.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        map: &BlockMap,
+        image: &RaycastImage,
+        world_from_camera: &Se3,
+        depth_range_m: [f32; 2],
+    ) {
+        recorder.stage("raycast");
+        let pages = map.distances.len();
+        let pipeline = self.variants[pages - 1]
+            .get_or_init(|| Pipeline::new(&self.device, &raycast::PASS, page_features(pages), &[]));
+        let bindings = raycast::Bindings {
+            params: raycast::Params {
+                camera: camera_params(&image.camera, depth_range_m),
+                world_from_camera: world_from_camera.to_mat4().to_cols_array_2d(),
+                map: map.params(),
+                range_size: range_size(&image.camera),
+                unused: [0; 2],
+            },
+            ranges: &image.ranges,
+            points: &image.points,
+            keys: &map.keys,
+            hash: &map.hash,
+            grid: &map.grid,
+            distance0: &map.distances[0],
+            distance1: map.distances.get(1),
+            distance2: map.distances.get(2),
+            distance3: map.distances.get(3),
+        };
+        let size = (image.camera.width, image.camera.height);
+        recorder.dispatch(pipeline, &bindings, Groups::image(size, (8, 8)));
+    }
+}

@@ -1,0 +1,204 @@
+//! Reference of stage `view`: from a frame's images to what tracking and fusion use (the report, section 3; Newcombe et
+//! al. 2011, section 3.2).
+
+use glam::{DVec2, DVec3};
+use itm_core::{ColourImage, DepthConversion, Image, Intrinsics};
+
+/// Raw depth to metres by a calibration's conversion; `focal_x` is the depth camera's, in pixels. Raw 0 and 65535, and
+/// depths outside of the range (metres, ends included), become 0: no measurement.
+pub fn convert_depth(
+    raw: &Image<u16>,
+    conversion: DepthConversion,
+    focal_x: f64,
+    depth_range_m: [f32; 2],
+) -> Image<f32> {
+    let metres = Image::from_fn(raw.width(), raw.height(), |x, y| {
+        let value = raw[(x, y)];
+        if value == 0 || value == u16::MAX {
+            return 0.0;
+        }
+        let value = f64::from(value);
+        let metres = match conversion {
+            DepthConversion::Affine { scale, offset } => value * scale + offset,
+            DepthConversion::Disparity { a, b } => 8.0 * b * focal_x / (a - value),
+        };
+        metres as f32
+    });
+    clip_depth(&metres, depth_range_m)
+}
+
+/// Depth in metres with all that is out of range, or not a number, set to 0: no measurement.
+pub fn clip_depth(metres: &Image<f32>, [near_m, far_m]: [f32; 2]) -> Image<f32> {
+    Image::from_fn(metres.width(), metres.height(), |x, y| {
+        let z = metres[(x, y)];
+        if (near_m..=far_m).contains(&z) { z } else { 0.0 }
+    })
+}
+
+/// One 5x5 pass of a bilateral filter (Tomasi & Manduchi 1998, *Bilateral Filtering for Gray and Color Images*). The
+/// spatial kernel is one pixel wide, the range kernel as wide as a Kinect's axial noise at the centre's depth,
+/// 0.0012 + 0.0019 (z - 0.4)² metres (Nguyen et al. 2012).
+pub fn bilateral(depth: &Image<f32>) -> Image<f32> {
+    Image::from_fn(depth.width(), depth.height(), |x, y| {
+        let z = f64::from(depth[(x, y)]);
+        if z <= 0.0 {
+            return 0.0;
+        }
+        let sigma = 0.0012 + 0.0019 * (z - 0.4).powi(2);
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for j in y.saturating_sub(2)..=(y + 2).min(depth.height() - 1) {
+            for i in x.saturating_sub(2)..=(x + 2).min(depth.width() - 1) {
+                let other = f64::from(depth[(i, j)]);
+                if other > 0.0 {
+                    let squared_pixels = f64::from(i.abs_diff(x).pow(2) + j.abs_diff(y).pow(2));
+                    let weight = (-0.5 * squared_pixels).exp() * (-0.5 * ((other - z) / sigma).powi(2)).exp();
+                    sum += weight * other;
+                    weights += weight;
+                }
+            }
+        }
+        (sum / weights) as f32
+    })
+}
+
+/// The pixels of an image that a pixel of the halved one stands for, row by row; a side of one pixel has no second one.
+fn group<T>(image: &Image<T>, x: u32, y: u32) -> [(u32, u32); 4] {
+    let (last_x, last_y) = (image.width() - 1, image.height() - 1);
+    let (right, below) = ((2 * x + 1).min(last_x), (2 * y + 1).min(last_y));
+    [(2 * x, 2 * y), (right, 2 * y), (2 * x, below), (right, below)]
+}
+
+fn half<T>(image: &Image<T>) -> (u32, u32) {
+    ((image.width() / 2).max(1), (image.height() / 2).max(1))
+}
+
+/// Halves a depth image: the mean of those of each 2x2 group that lie within `reach_m` of its first valid one, so that
+/// foreground and background are not mixed (Newcombe et al. 2011, section 3.2).
+pub fn halve_depth(depth: &Image<f32>, reach_m: f32) -> Image<f32> {
+    let (width, height) = half(depth);
+    Image::from_fn(width, height, |x, y| {
+        let valid: Vec<f32> = group(depth, x, y).into_iter().map(|p| depth[p]).filter(|z| *z > 0.0).collect();
+        let Some(&anchor) = valid.first() else { return 0.0 };
+        let near: Vec<f64> =
+            valid.iter().filter(|z| (*z - anchor).abs() <= reach_m).map(|z| f64::from(*z)).collect();
+        (near.iter().sum::<f64>() / near.len() as f64) as f32
+    })
+}
+
+/// A pixel's vertex, and its normal where it has one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Vertex {
+    /// Camera frame, metres.
+    pub position: DVec3,
+    /// Camera frame, unit length, towards the camera.
+    pub normal: Option<DVec3>,
+}
+
+/// Vertices and normals of a depth image (Newcombe et al. 2011, section 3.2). Normals come from central differences; a
+/// pixel has one where all four neighbours are there and lie within `reach_m` of it in depth.
+pub fn vertices(depth: &Image<f32>, camera: &Intrinsics, reach_m: f32) -> Image<Option<Vertex>> {
+    let position = |x: u32, y: u32| camera.unproject(DVec2::new(x.into(), y.into()), depth[(x, y)].into());
+    Image::from_fn(depth.width(), depth.height(), |x, y| {
+        let z = depth[(x, y)];
+        if z <= 0.0 {
+            return None;
+        }
+        let neighbour = |x: u32, y: u32| {
+            depth.get(x, y).filter(|other| **other > 0.0 && (*other - z).abs() <= reach_m).map(|_| position(x, y))
+        };
+        let normal = || {
+            let along_x = neighbour(x + 1, y)? - neighbour(x.checked_sub(1)?, y)?;
+            let along_y = neighbour(x, y + 1)? - neighbour(x, y.checked_sub(1)?)?;
+            let normal = along_x.cross(along_y).try_normalize()?;
+            Some(if normal.dot(position(x, y)) > 0.0 { -normal } else { normal })
+        };
+        Some(Vertex { position: position(x, y), normal: normal() })
+    })
+}
+
+/// Colour to intensity between 0 and 1: 0.299 R + 0.587 G + 0.114 B (the report, section 3.1.3).
+pub fn intensity(colour: &ColourImage) -> Image<f32> {
+    Image::from_fn(colour.width(), colour.height(), |x, y| {
+        let [r, g, b, _] = colour[(x, y)].map(f64::from);
+        ((0.299 * r + 0.587 * g + 0.114 * b) / 255.0) as f32
+    })
+}
+
+/// Halves an intensity image: the mean of each 2x2 group.
+pub fn halve_intensity(intensity: &Image<f32>) -> Image<f32> {
+    let (width, height) = half(intensity);
+    Image::from_fn(width, height, |x, y| {
+        let sum: f64 = group(intensity, x, y).into_iter().map(|p| f64::from(intensity[p])).sum();
+        (sum / 4.0) as f32
+    })
+}
+
+/// Intensity gradients along x and y, per pixel, by Scharr's 3x3 kernels (Scharr 2000, *Optimal Operators in Digital
+/// Image Processing*), with the border repeated.
+pub fn gradients(intensity: &Image<f32>) -> Image<[f32; 2]> {
+    /// Weights across the direction of the derivative; they sum to 16.
+    const ACROSS: [f64; 3] = [3.0, 10.0, 3.0];
+    let (last_x, last_y) = (i64::from(intensity.width()) - 1, i64::from(intensity.height()) - 1);
+    let at = |x: i64, y: i64| f64::from(intensity[(x.clamp(0, last_x) as u32, y.clamp(0, last_y) as u32)]);
+    Image::from_fn(intensity.width(), intensity.height(), |x, y| {
+        let (x, y) = (i64::from(x), i64::from(y));
+        let (mut along_x, mut along_y) = (0.0, 0.0);
+        for (offset, weight) in (-1..=1).zip(ACROSS) {
+            along_x += weight * (at(x + 1, y + offset) - at(x - 1, y + offset));
+            along_y += weight * (at(x + offset, y + 1) - at(x + offset, y - 1));
+        }
+        // The two columns lie two pixels apart.
+        [(along_x / 32.0) as f32, (along_y / 32.0) as f32]
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn raw_depth_means_what_the_calibration_says() {
+        let raw = Image::new(5, 1, vec![0, 65_535, 1500, 100, 4000]).unwrap();
+        let metres = convert_depth(&raw, DepthConversion::MILLIMETRES, 500.0, [0.2, 3.0]);
+        assert_eq!(metres.data(), &[0.0, 0.0, 1.5, 0.0, 0.0]);
+        // A Kinect's disparities: 1135.09 at infinity, a baseline of 8.19141 cm.
+        let conversion = DepthConversion::Disparity { a: 1135.09, b: 0.0819141 };
+        let raw = Image::new(2, 1, vec![800, 1200]).unwrap();
+        let metres = convert_depth(&raw, conversion, 573.71, [0.2, 3.0]);
+        assert!((metres.data()[0] - 1.121_98).abs() < 1e-3, "{}", metres.data()[0]);
+        assert_eq!(metres.data()[1], 0.0, "beyond infinity");
+    }
+
+    #[test]
+    fn a_linear_ramp_has_constant_gradients_and_stays_linear_when_halved() {
+        let ramp = Image::from_fn(9, 8, |x, y| 0.01 * x as f32 + 0.02 * y as f32);
+        let inner = gradients(&ramp)[(4, 4)];
+        assert!((inner[0] - 0.01).abs() < 1e-6 && (inner[1] - 0.02).abs() < 1e-6, "{inner:?}");
+        let halved = halve_intensity(&ramp);
+        assert_eq!(halved.size(), (4, 4));
+        assert!((halved[(1, 1)] - (0.01 * 2.5 + 0.02 * 2.5)).abs() < 1e-6);
+        assert_eq!(halve_intensity(&Image::filled(1, 1, 0.5)).data(), &[0.5]);
+    }
+
+    #[test]
+    fn halving_and_smoothing_keep_depth_edges() {
+        let edge = Image::from_fn(8, 8, |x, _| if x < 3 { 1.0 } else { 2.0 });
+        assert_eq!(halve_depth(&edge, 0.1)[(1, 0)], 1.0, "the group that the edge crosses takes its first pixel's side");
+        let smooth = bilateral(&edge);
+        assert!(smooth.data().iter().zip(edge.data()).all(|(a, b)| (a - b).abs() < 1e-6));
+    }
+
+    #[test]
+    fn the_normals_of_a_tilted_plane_are_its_own() {
+        let camera = Intrinsics::new(40, 30, 40.0, -40.0, 19.5, 14.5);
+        let normal = DVec3::new(0.3, -0.2, -1.0).normalize();
+        // The plane through (0, 0, 2): z from n · (ray z - (0, 0, 2)) = 0.
+        let depth = Image::from_fn(40, 30, |x, y| {
+            let ray = camera.unproject(DVec2::new(x.into(), y.into()), 1.0);
+            (2.0 * normal.z / normal.dot(ray)) as f32
+        });
+        let vertices = vertices(&depth, &camera, 0.5);
+        assert!(vertices[(20, 15)].unwrap().normal.unwrap().abs_diff_eq(normal, 1e-5));
+        assert_eq!(vertices[(0, 15)].unwrap().normal, None, "no left neighbour");
+    }
+}

@@ -1,0 +1,96 @@
+//! Stage `render`: pictures of a raycast image.
+
+use std::sync::OnceLock;
+
+use itm_core::{ColourImage, Se3};
+use itm_shaders::render;
+
+use crate::raycast::page_features;
+use crate::recorder::{Groups, Pipeline};
+use crate::{BlockMap, Device, Error, RaycastImage, Recorder};
+
+/// What a picture of the map shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shading {
+    /// Grey, lit from the camera (Lambert).
+    Grey,
+    /// Normals as colours: red, green, blue for the world's x, y, z.
+    Normals,
+    /// The map's own colours; nothing where it has none.
+    Colour,
+}
+
+/// The stage's pipelines.
+#[derive(Debug)]
+pub struct Render {
+    device: Device,
+    shade: Pipeline,
+    colour: [OnceLock<Pipeline>; 4],
+}
+
+impl Render {
+    /// Compiles the stage.
+    pub fn new(device: &Device) -> Self {
+        Self {
+            device: device.clone(),
+            shade: Pipeline::plain(device, &render::shade::PASS),
+            colour: Default::default(),
+        }
+    }
+
+    /// Paints an image that was cast from a pose, with normals; pixels that show nothing have alpha 0. Waits.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn run(
+        &self,
+        map: &BlockMap,
+        image: &RaycastImage,
+        world_from_camera: &Se3,
+        shading: Shading,
+    ) -> Result<ColourImage, Error> {
+        let camera = image.camera();
+        let pixels = camera.pixels() as u64;
+        let size = [camera.width, camera.height];
+        let painted = self.device.storage("picture", pixels * 4);
+        let mut recorder = Recorder::new(&self.device);
+        recorder.stage("render");
+        let groups = Groups::linear(pixels, 64);
+        if shading == Shading::Colour {
+            if let Some(colour0) = map.colours.first() {
+                let pages = map.colours.len();
+                let pipeline = self.colour[pages - 1]
+                    .get_or_init(|| Pipeline::new(&self.device, &render::colour::PASS, page_features(pages), &[]));
+                let bindings = render::colour::Bindings {
+                    params: render::colour::Params { map: map.params(), size, unused: [0; 2] },
+                    points: &image.points,
+                    image: &painted,
+                    colour0,
+                    colour1: map.colours.get(1),
+                    colour2: map.colours.get(2),
+                    colour3: map.colours.get(3),
+                    keys: &map.keys,
+                    hash: &map.hash,
+                    grid: &map.grid,
+                };
+                recorder.dispatch(pipeline, &bindings, groups);
+            }
+        } else {
+            let bindings = render::shade::Bindings {
+                params: render::shade::Params {
+                    size,
+                    kind: u32::from(shading == Shading::Normals),
+                    unused: 0,
+                    camera: world_from_camera.translation.as_vec3().extend(1.0).to_array(),
+                },
+                points: &image.points,
+                normals: &image.normals,
+                image: &painted,
+            };
+            recorder.dispatch(&self.shade, &bindings, groups);
+        }
+        let _untimed = recorder.submit();
+        let values = self.device.read(&painted, 0, pixels * 4)?;
+        Ok(ColourImage::new(camera.width, camera.height, values).expect("as many values as pixels"))
+    }
+}

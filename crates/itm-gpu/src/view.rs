@@ -1,0 +1,305 @@
+//! Stage `view`: from a frame's images to what tracking and fusion use (the report, section 3; Newcombe et al. 2011,
+//! section 3.2).
+
+use itm_core::{Calibration, ColourImage, DepthConversion, DepthImage, Frame, Image, Intrinsics};
+use itm_shaders::view;
+
+use crate::map::camera_params;
+use crate::recorder::{Groups, Pipeline};
+use crate::{Device, Error, Recorder};
+
+/// What a view holds beside depth at full resolution.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ViewOptions {
+    /// Depth outside of this range (metres) counts as not measured.
+    pub depth_range_m: [f32; 2],
+    /// Passes of the bilateral filter.
+    pub bilateral_passes: u32,
+    /// Levels of the depth pyramid, the finest included; at least 1.
+    pub levels: usize,
+    /// Whether vertex and normal maps are made.
+    pub vertices: bool,
+    /// Levels of the intensity pyramid and its gradients; 0 for none.
+    pub intensity_levels: usize,
+}
+
+/// A frame on the device.
+#[derive(Debug)]
+pub struct View {
+    calibration: Calibration,
+    raw: wgpu::Buffer,
+    scratch: wgpu::Buffer,
+    depth: Vec<(Intrinsics, wgpu::Buffer)>,
+    vertices: Option<(wgpu::Buffer, wgpu::Buffer)>,
+    colour: Option<wgpu::Buffer>,
+    has_colour: bool,
+    intensity: Vec<IntensityLevel>,
+}
+
+/// One level of an intensity pyramid.
+#[derive(Debug)]
+struct IntensityLevel {
+    camera: Intrinsics,
+    intensity: wgpu::Buffer,
+    gradients: wgpu::Buffer,
+}
+
+impl View {
+    /// Memory for frames of a calibration.
+    pub fn new(device: &Device, calibration: &Calibration, options: &ViewOptions) -> Self {
+        let image = |label, camera: &Intrinsics, bytes| device.storage(label, camera.pixels() as u64 * bytes);
+        let depth_camera = &calibration.depth;
+        let level = |base: &Intrinsics, level: usize| base.at_level(level as u32);
+        Self {
+            calibration: *calibration,
+            raw: image("raw depth", depth_camera, 4),
+            scratch: if options.bilateral_passes > 0 {
+                image("depth scratch", depth_camera, 4)
+            } else {
+                device.storage("depth scratch", 16)
+            },
+            depth: (0..options.levels.max(1))
+                .map(|l| level(depth_camera, l))
+                .map(|camera| (camera, image("depth", &camera, 4)))
+                .collect(),
+            vertices: options
+                .vertices
+                .then(|| (image("vertices", depth_camera, 16), image("view normals", depth_camera, 16))),
+            colour: None,
+            has_colour: false,
+            intensity: (0..options.intensity_levels)
+                .map(|l| level(&calibration.colour, l))
+                .map(|camera| IntensityLevel {
+                    camera,
+                    intensity: image("intensity", &camera, 4),
+                    gradients: image("gradients", &camera, 8),
+                })
+                .collect(),
+        }
+    }
+
+    /// Levels of the depth pyramid.
+    pub fn levels(&self) -> usize {
+        self.depth.len()
+    }
+
+    /// The camera of a level of the depth pyramid; 0 is the finest.
+    pub fn level_camera(&self, level: usize) -> &Intrinsics {
+        &self.depth[level].0
+    }
+
+    /// Depth in metres at full resolution, 0 where there is none.
+    pub(crate) fn depth(&self) -> &wgpu::Buffer {
+        &self.depth[0].1
+    }
+
+    pub(crate) fn level_depth(&self, level: usize) -> &wgpu::Buffer {
+        &self.depth[level].1
+    }
+
+    /// The colour image (one word a pixel), where the frame has one.
+    pub(crate) fn colour(&self) -> Option<&wgpu::Buffer> {
+        self.colour.as_ref().filter(|_| self.has_colour)
+    }
+
+    /// Reads a level of the depth pyramid back (metres, 0 where there is none). Waits. For tests, exports and pictures.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read_depth(&self, device: &Device, level: usize) -> Result<Image<f32>, Error> {
+        read(device, &self.depth[level].1, &self.depth[level].0)
+    }
+
+    /// Reads vertices and normals back (camera frame, metres; the fourth value is 1, or 0 where there is none); `None`
+    /// where the view was made without. Waits. For tests, exports and pictures.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    #[expect(clippy::type_complexity, reason = "two images of one kind")]
+    pub fn read_vertices(&self, device: &Device) -> Result<Option<(Image<[f32; 4]>, Image<[f32; 4]>)>, Error> {
+        let camera = &self.calibration.depth;
+        self.vertices.as_ref().map(|(v, n)| Ok((read(device, v, camera)?, read(device, n, camera)?))).transpose()
+    }
+
+    /// Reads a level of the intensity pyramid (0 to 1) and its gradients (per pixel, along x and y) back. Waits. For
+    /// tests, exports and pictures.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read_intensity(&self, device: &Device, level: usize) -> Result<(Image<f32>, Image<[f32; 2]>), Error> {
+        let l = &self.intensity[level];
+        Ok((read(device, &l.intensity, &l.camera)?, read(device, &l.gradients, &l.camera)?))
+    }
+}
+
+fn read<T: bytemuck::Pod>(
+    device: &Device,
+    buffer: &wgpu::Buffer,
+    camera: &Intrinsics,
+) -> Result<Image<T>, Error> {
+    let values = device.read(buffer, 0, (camera.pixels() * size_of::<T>()) as u64)?;
+    Ok(Image::new(camera.width, camera.height, values).expect("as many values as pixels"))
+}
+
+/// The stage's pipelines.
+#[derive(Debug)]
+pub struct ViewStage {
+    device: Device,
+    convert_depth: Pipeline,
+    clip_depth: Pipeline,
+    bilateral: Pipeline,
+    halve_depth: Pipeline,
+    vertices: Pipeline,
+    intensity: Pipeline,
+    halve_intensity: Pipeline,
+    gradients: Pipeline,
+}
+
+/// Neighbouring pixels further apart than this in depth lie on different surfaces.
+const DEPTH_EDGE_M: f32 = 0.1;
+
+impl ViewStage {
+    /// Compiles the stage.
+    pub fn new(device: &Device) -> Self {
+        Self {
+            device: device.clone(),
+            convert_depth: Pipeline::plain(device, &view::convert_depth::PASS),
+            clip_depth: Pipeline::plain(device, &view::clip_depth::PASS),
+            bilateral: Pipeline::plain(device, &view::bilateral::PASS),
+            halve_depth: Pipeline::plain(device, &view::halve_depth::PASS),
+            vertices: Pipeline::plain(device, &view::vertices::PASS),
+            intensity: Pipeline::plain(device, &view::intensity::PASS),
+            halve_intensity: Pipeline::plain(device, &view::halve_intensity::PASS),
+            gradients: Pipeline::plain(device, &view::gradients::PASS),
+        }
+    }
+
+    /// Uploads a frame's images and records what the options ask for. The view must have been made with the same options.
+    ///
+    /// # Errors
+    /// Where an image has another size than the view's calibration says; the view is as it was then.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        view: &mut View,
+        frame: &Frame,
+        options: &ViewOptions,
+    ) -> Result<(), Error> {
+        let calibration = view.calibration;
+        let depth_size = (calibration.depth.width, calibration.depth.height);
+        check_size("depth", frame.depth.size(), depth_size)?;
+        if let Some(colour) = &frame.colour {
+            check_size("colour", colour.size(), (calibration.colour.width, calibration.colour.height))?;
+        }
+        recorder.stage("view");
+        self.record_depth(recorder, view, &frame.depth, options);
+        view.has_colour = frame.colour.is_some();
+        if let Some(colour) = &frame.colour {
+            self.record_colour(recorder, view, colour);
+        }
+        Ok(())
+    }
+
+    fn record_depth(&self, recorder: &mut Recorder, view: &View, depth: &DepthImage, options: &ViewOptions) {
+        let camera = view.calibration.depth;
+        let size = [camera.width, camera.height];
+        let linear = Groups::linear(camera.pixels() as u64, 64);
+        let [near_m, far_m] = options.depth_range_m;
+        // With an odd number of filter passes the conversion writes where the first pass reads.
+        let (mut from, mut to) = (view.depth(), &view.scratch);
+        if options.bilateral_passes % 2 == 1 {
+            std::mem::swap(&mut from, &mut to);
+        }
+        match depth {
+            DepthImage::Raw(image) => {
+                // Two values a word: an odd number of pixels leaves half a word.
+                let mut values = bytemuck::cast_slice::<u16, u8>(image.data()).to_vec();
+                values.resize(values.len().next_multiple_of(4), 0);
+                self.device.queue.write_buffer(&view.raw, 0, &values);
+                let (kind, a, b) = match view.calibration.depth_conversion {
+                    DepthConversion::Affine { scale, offset } => (0, scale, offset),
+                    DepthConversion::Disparity { a, b } => (1, a, 8.0 * b * camera.fx),
+                };
+                let (a, b) = (a as f32, b as f32);
+                let params = view::convert_depth::Params { size, kind, a, b, near_m, far_m, unused: 0 };
+                let bindings = view::convert_depth::Bindings { params, raw: &view.raw, depth: from };
+                recorder.dispatch(&self.convert_depth, &bindings, linear);
+            }
+            DepthImage::Metres(image) => {
+                self.device.queue.write_buffer(&view.raw, 0, bytemuck::cast_slice(image.data()));
+                let params = view::clip_depth::Params { size, near_m, far_m };
+                let bindings = view::clip_depth::Bindings { params, metres: &view.raw, depth: from };
+                recorder.dispatch(&self.clip_depth, &bindings, linear);
+            }
+        }
+        for _ in 0..options.bilateral_passes {
+            let params = view::bilateral::Params { size };
+            let bindings = view::bilateral::Bindings { params, depth: from, filtered: to };
+            recorder.dispatch(&self.bilateral, &bindings, Groups::image((camera.width, camera.height), (64, 1)));
+            std::mem::swap(&mut from, &mut to);
+        }
+        for pair in view.depth.windows(2) {
+            let [(fine, depth), (coarse, halved)] = pair else { unreachable!("windows of two") };
+            let bindings = view::halve_depth::Bindings {
+                params: view::halve_depth::Params {
+                    size: [fine.width, fine.height],
+                    half_size: [coarse.width, coarse.height],
+                    reach_m: DEPTH_EDGE_M,
+                    unused_a: 0,
+                    unused_b: [0; 2],
+                },
+                depth,
+                halved,
+            };
+            recorder.dispatch(&self.halve_depth, &bindings, Groups::image((coarse.width, coarse.height), (64, 1)));
+        }
+        if let Some((vertices, normals)) = &view.vertices {
+            let params = view::vertices::Params {
+                camera: camera_params(&camera, options.depth_range_m),
+                reach_m: DEPTH_EDGE_M,
+                unused_a: 0,
+                unused_b: [0; 2],
+            };
+            let bindings = view::vertices::Bindings { params, depth: view.depth(), vertices, normals };
+            recorder.dispatch(&self.vertices, &bindings, Groups::image((camera.width, camera.height), (64, 1)));
+        }
+    }
+
+    fn record_colour(&self, recorder: &mut Recorder, view: &mut View, image: &ColourImage) {
+        let camera = view.calibration.colour;
+        let colour =
+            view.colour.get_or_insert_with(|| self.device.storage("colour", camera.pixels() as u64 * 4));
+        self.device.queue.write_buffer(colour, 0, bytemuck::cast_slice(image.data()));
+        if let Some(finest) = view.intensity.first() {
+            let params = view::intensity::Params { size: [camera.width, camera.height] };
+            let bindings = view::intensity::Bindings { params, colour, intensity: &finest.intensity };
+            recorder.dispatch(&self.intensity, &bindings, Groups::linear(camera.pixels() as u64, 64));
+        }
+        for pair in view.intensity.windows(2) {
+            let [fine, coarse] = pair else { unreachable!("windows of two") };
+            let size = (coarse.camera.width, coarse.camera.height);
+            let bindings = view::halve_intensity::Bindings {
+                params: view::halve_intensity::Params {
+                    size: [fine.camera.width, fine.camera.height],
+                    half_size: [size.0, size.1],
+                },
+                intensity: &fine.intensity,
+                halved: &coarse.intensity,
+            };
+            recorder.dispatch(&self.halve_intensity, &bindings, Groups::image(size, (64, 1)));
+        }
+        for level in &view.intensity {
+            let size = (level.camera.width, level.camera.height);
+            let bindings = view::gradients::Bindings {
+                params: view::gradients::Params { size: [size.0, size.1] },
+                intensity: &level.intensity,
+                gradients: &level.gradients,
+            };
+            recorder.dispatch(&self.gradients, &bindings, Groups::image(size, (64, 1)));
+        }
+    }
+}
+
+fn check_size(image: &'static str, found: (u32, u32), expected: (u32, u32)) -> Result<(), Error> {
+    if found == expected { Ok(()) } else { Err(Error::ImageSize { image, found, expected }) }
+}
