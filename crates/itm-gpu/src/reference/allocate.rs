@@ -109,7 +109,7 @@ mod tests {
             for block in crossed_blocks(from, to, -0.01) {
                 let centre = block.as_dvec3() + 0.5;
                 // Some point of 4001 on the segment lies in the block: its narrowed twin is crossed, so the segment
-                // stays in the block for at least 0.014, and the points lie at most 10.4 / 4000 apart.
+                // stays in the block for at least 0.01 (or is shorter), and the points lie at most 10.4 / 4000 apart.
                 let inside = (0..=4000).any(|i| {
                     let offset = from.lerp(to, f64::from(i) / 4000.0) - centre;
                     offset.abs().max_element() <= 0.5

@@ -75,10 +75,8 @@ impl Map {
         for corner in corners() {
             let voxel = self.distance(base.as_ivec3() + corner);
             let share = |f: f64, c: i32| if c == 1 { f } else { 1.0 - f };
-            distance += share(f.x, corner.x)
-                * share(f.y, corner.y)
-                * share(f.z, corner.z)
-                * f64::from(voxel.distance());
+            distance +=
+                share(f.x, corner.x) * share(f.y, corner.y) * share(f.z, corner.z) * f64::from(voxel.distance());
             weight = weight.min(voxel.weight());
         }
         (distance, weight)

@@ -79,8 +79,7 @@ pub fn halve_depth(depth: &Image<f32>, reach_m: f32) -> Image<f32> {
     Image::from_fn(width, height, |x, y| {
         let valid: Vec<f32> = group(depth, x, y).into_iter().map(|p| depth[p]).filter(|z| *z > 0.0).collect();
         let Some(&anchor) = valid.first() else { return 0.0 };
-        let near: Vec<f64> =
-            valid.iter().filter(|z| (*z - anchor).abs() <= reach_m).map(|z| f64::from(*z)).collect();
+        let near: Vec<f64> = valid.iter().filter(|z| (*z - anchor).abs() <= reach_m).map(|z| f64::from(*z)).collect();
         (near.iter().sum::<f64>() / near.len() as f64) as f32
     })
 }
@@ -183,7 +182,11 @@ mod tests {
     #[test]
     fn halving_and_smoothing_keep_depth_edges() {
         let edge = Image::from_fn(8, 8, |x, _| if x < 3 { 1.0 } else { 2.0 });
-        assert_eq!(halve_depth(&edge, 0.1)[(1, 0)], 1.0, "the group that the edge crosses takes its first pixel's side");
+        assert_eq!(
+            halve_depth(&edge, 0.1)[(1, 0)],
+            1.0,
+            "the group that the edge crosses takes its first pixel's side"
+        );
         let smooth = bilateral(&edge);
         assert!(smooth.data().iter().zip(edge.data()).all(|(a, b)| (a - b).abs() < 1e-6));
     }
