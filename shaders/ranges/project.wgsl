@@ -41,10 +41,15 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
             let p = base + (params.camera_from_world * vec4(offset, 0.0)).xyz;
             near = min(near, p.z);
             far = max(far, p.z);
-            // A corner at or behind the camera's plane: the box reaches over the image's border.
             let pixel = project(params.camera, vec3(p.xy, max(p.z, 1e-3)));
             lower = min(lower, pixel);
             upper = max(upper, pixel);
+        }
+        if near < 1e-3 {
+            // A block that reaches behind the camera's plane may appear anywhere: where its edges cross that plane, they
+            // go to infinity, which the corners' pixels do not bound.
+            lower = vec2(-3e38);
+            upper = vec2(3e38);
         }
         let last = vec2<f32>(params.range_size) - 1.0;
         // The block may be seen by a ray through any point of a pixel's square.
