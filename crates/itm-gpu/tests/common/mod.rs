@@ -1,0 +1,334 @@
+//! What the tests share: the device, scenes whose depth is known in closed form, and a map on the device with the stages
+//! that fill it.
+
+#![allow(dead_code, reason = "each test binary uses its own part")]
+
+use std::sync::OnceLock;
+
+use glam::{DVec2, DVec3};
+use itm_core::voxel::BlockKey;
+use itm_core::{Calibration, ColourImage, DepthConversion, DepthImage, Frame, Image, Intrinsics, Se3, Timestamp};
+use itm_gpu::allocate::Allocate;
+use itm_gpu::hash::Hash;
+use itm_gpu::integrate::{Integrate, IntegrateOptions};
+use itm_gpu::normals::Normals;
+use itm_gpu::ranges::Ranges;
+use itm_gpu::raycast::Raycast;
+use itm_gpu::view::{ViewOptions, ViewStage};
+use itm_gpu::visible::Visible;
+use itm_gpu::{BlockMap, Device, FrameRecord, MapLayout, RaycastImage, Recorder, View, reference};
+
+/// The device, opened once for a test binary; `None` where the environment variable `ITM_SKIP_GPU_TESTS` is set.
+///
+/// # Panics
+/// Where no adapter can be opened: a test that cannot run has failed.
+pub fn device() -> Option<&'static Device> {
+    if std::env::var_os("ITM_SKIP_GPU_TESTS").is_some() {
+        println!("skipped, because ITM_SKIP_GPU_TESTS is set");
+        return None;
+    }
+    static DEVICE: OnceLock<Device> = OnceLock::new();
+    Some(DEVICE.get_or_init(|| Device::open("auto").expect("GPU tests need an adapter; a software driver will do")))
+}
+
+/// The device and the stages of fusion, compiled once.
+#[derive(Debug)]
+pub struct Gpu {
+    pub device: Device,
+    pub view: ViewStage,
+    pub allocate: Allocate,
+    pub visible: Visible,
+    pub integrate: Integrate,
+    pub ranges: Ranges,
+    pub raycast: Raycast,
+    pub normals: Normals,
+    pub hash: Hash,
+}
+
+impl Gpu {
+    pub fn new(device: &Device) -> Self {
+        Self {
+            device: device.clone(),
+            view: ViewStage::new(device),
+            allocate: Allocate::new(device),
+            visible: Visible::new(device),
+            integrate: Integrate::new(device),
+            ranges: Ranges::new(device),
+            raycast: Raycast::new(device),
+            normals: Normals::new(device),
+            hash: Hash::new(device),
+        }
+    }
+}
+
+/// [`device`] with the stages.
+pub fn gpu() -> Option<&'static Gpu> {
+    static GPU: OnceLock<Gpu> = OnceLock::new();
+    device().map(|device| GPU.get_or_init(|| Gpu::new(device)))
+}
+
+/// A camera with a field of view of about 60 degrees, its principal point beside the middle.
+pub fn camera(width: u32, height: u32) -> Intrinsics {
+    let focal = 0.87 * f64::from(width);
+    Intrinsics::new(width, height, focal, focal * 1.01, f64::from(width) * 0.49, f64::from(height) * 0.52)
+}
+
+/// A frame of depth in metres, with colour if any.
+pub fn frame(depth: Image<f32>, colour: Option<ColourImage>) -> Frame {
+    let depth = DepthImage::Metres(depth);
+    Frame { index: 0, timestamp: Timestamp(0), depth, colour, world_from_camera: None }
+}
+
+/// Something whose surface a ray meets in closed form (world frame, metres).
+#[derive(Clone, Copy, Debug)]
+pub enum Shape {
+    /// The points with `normal · p = distance`; the normal has unit length.
+    Plane { normal: DVec3, distance: f64 },
+    /// A sphere, seen from outside.
+    Sphere { centre: DVec3, radius: f64 },
+    /// A box along the axes, seen from outside.
+    Cuboid { centre: DVec3, half: DVec3 },
+    /// The inside of a box along the axes.
+    Room { centre: DVec3, half: DVec3 },
+}
+
+impl Shape {
+    /// Where a ray meets the surface first, as a multiple of `ray`.
+    fn meet(&self, origin: DVec3, ray: DVec3) -> Option<f64> {
+        let found = match *self {
+            Self::Plane { normal, distance } => (distance - normal.dot(origin)) / normal.dot(ray),
+            Self::Sphere { centre, radius } => {
+                let to = centre - origin;
+                let (a, b) = (ray.length_squared(), ray.dot(to));
+                let root = b * b - a * (to.length_squared() - radius * radius);
+                if root < 0.0 {
+                    return None;
+                }
+                (b - root.sqrt()) / a
+            }
+            Self::Cuboid { centre, half } | Self::Room { centre, half } => {
+                let (a, b) = ((centre - half - origin) / ray, (centre + half - origin) / ray);
+                let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
+                if enter > leave {
+                    return None;
+                }
+                if matches!(self, Self::Room { .. }) { leave } else { enter }
+            }
+        };
+        (found.is_finite() && found > 0.0).then_some(found)
+    }
+
+    /// Distance of a point from the surface, in metres.
+    pub fn distance(&self, point: DVec3) -> f64 {
+        match *self {
+            Self::Plane { normal, distance } => (normal.dot(point) - distance).abs(),
+            Self::Sphere { centre, radius } => (point.distance(centre) - radius).abs(),
+            Self::Cuboid { centre, half } | Self::Room { centre, half } => {
+                let outside = (point - centre).abs() - half;
+                (outside.max(DVec3::ZERO).length() + outside.max_element().min(0.0)).abs()
+            }
+        }
+    }
+
+    /// The surface's normal near a point of it, towards whoever sees it.
+    fn normal(&self, point: DVec3, seen_from: DVec3) -> DVec3 {
+        let normal = match *self {
+            Self::Plane { normal, .. } => normal,
+            Self::Sphere { centre, .. } => (point - centre).normalize(),
+            Self::Cuboid { centre, half } | Self::Room { centre, half } => {
+                let outside = ((point - centre).abs() - half).to_array();
+                let nearest = outside.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).expect("three axes").0;
+                DVec3::AXES[nearest]
+            }
+        };
+        if normal.dot(seen_from - point) < 0.0 { -normal } else { normal }
+    }
+}
+
+/// Several shapes.
+#[derive(Clone, Debug)]
+pub struct Scene(pub Vec<Shape>);
+
+impl Scene {
+    /// A room of 3.2 x 2.4 x 3.6 m around the origin with a ball and a box in it.
+    pub fn room() -> Self {
+        Self(vec![
+            Shape::Room { centre: DVec3::new(0.03, -0.02, 0.01), half: DVec3::new(1.6, 1.2, 1.8) },
+            Shape::Sphere { centre: DVec3::new(0.3, 0.2, 0.9), radius: 0.4 },
+            Shape::Cuboid { centre: DVec3::new(-0.7, 0.8, 1.0), half: DVec3::new(0.3, 0.35, 0.25) },
+        ])
+    }
+
+    /// What a depth camera without noise measures: metres along the optical axis, 0 where a ray meets nothing.
+    pub fn depth(&self, camera: &Intrinsics, world_from_camera: &Se3) -> Image<f32> {
+        Image::from_fn(camera.width, camera.height, |x, y| {
+            let ray = camera.unproject(DVec2::new(x.into(), y.into()), 1.0);
+            let ray = world_from_camera.transform_vector(ray);
+            let meet = |shape: &Shape| shape.meet(world_from_camera.translation, ray);
+            self.0.iter().filter_map(meet).reduce(f64::min).unwrap_or(0.0) as f32
+        })
+    }
+
+    /// The shape nearest to a point.
+    fn nearest(&self, point: DVec3) -> &Shape {
+        self.0.iter().min_by(|a, b| a.distance(point).total_cmp(&b.distance(point))).expect("a scene has shapes")
+    }
+
+    /// Distance of a point from the nearest surface, in metres.
+    pub fn distance(&self, point: DVec3) -> f64 {
+        self.nearest(point).distance(point)
+    }
+
+    /// The normal of the surface nearest to a point, towards whoever sees it.
+    pub fn normal(&self, point: DVec3, seen_from: DVec3) -> DVec3 {
+        self.nearest(point).normal(point, seen_from)
+    }
+}
+
+/// A colour image without flat or straight parts.
+pub fn colours(camera: &Intrinsics) -> ColourImage {
+    ColourImage::from_fn(camera.width, camera.height, |x, y| {
+        let wave = |a: f64, b: f64| (127.5 + 127.4 * (a * f64::from(x) + b * f64::from(y)).sin()) as u8;
+        [wave(0.31, 0.12), wave(-0.07, 0.4), wave(0.02, -0.05), 0]
+    })
+}
+
+/// Poses in the room, not far apart, each looking towards the ball.
+pub fn poses() -> [Se3; 3] {
+    [[-0.1, -0.1, -1.0, 0.05, -0.1, 0.02], [0.2, 0.05, -0.9, -0.08, 0.06, -0.1], [0.0, -0.2, -1.1, -0.15, 0.02, 0.3]]
+        .map(Se3::exp)
+}
+
+/// How the tests fuse.
+pub const OPTIONS: IntegrateOptions = IntegrateOptions { max_weight: 100, stop_at_max_weight: false, colour_band: 0.5 };
+
+/// Depth that the tests look at, in metres.
+pub const RANGE_M: [f32; 2] = [0.2, 4.0];
+
+/// A map on the device and what fills it.
+#[derive(Debug)]
+pub struct Fusion {
+    pub map: BlockMap,
+    pub view: View,
+    pub calibration: Calibration,
+    pub view_options: ViewOptions,
+    pub options: IntegrateOptions,
+}
+
+impl Fusion {
+    /// An empty map with voxels of a size, a truncation band of four voxels, and so many blocks.
+    pub fn new(gpu: &Gpu, camera: Intrinsics, voxel_size_m: f32, colour: bool, blocks: u32) -> Self {
+        let calibration = Calibration::registered(camera, DepthConversion::MILLIMETRES);
+        Self::with_calibration(gpu, calibration, voxel_size_m, colour, blocks)
+    }
+
+    /// The same, with a calibration.
+    pub fn with_calibration(gpu: &Gpu, calibration: Calibration, voxel_size_m: f32, colour: bool, blocks: u32) -> Self {
+        let view_options = ViewOptions {
+            depth_range_m: RANGE_M,
+            bilateral_passes: 0,
+            levels: 3,
+            vertices: false,
+            intensity_levels: 0,
+        };
+        let layout = MapLayout { voxel_size_m, truncation_m: 4.0 * voxel_size_m, colour };
+        Self {
+            map: BlockMap::new(&gpu.device, layout, blocks).expect("a small map fits"),
+            view: View::new(&gpu.device, &calibration, &view_options),
+            calibration,
+            view_options,
+            options: OPTIONS,
+        }
+    }
+
+    /// Takes a frame over and allocates; returns the frame's record.
+    pub fn allocate(&mut self, gpu: &Gpu, frame: &Frame, world_from_camera: &Se3) -> FrameRecord {
+        let camera = self.calibration.depth;
+        let margin_m = self.map.layout().truncation_m;
+        self.map.lay_grid(&camera, world_from_camera, RANGE_M[1], margin_m).expect("a small view fits");
+        let mut recorder = Recorder::new(&gpu.device);
+        gpu.view.record(&mut recorder, &mut self.view, frame, &self.view_options).expect("the sizes are right");
+        gpu.allocate.record(&mut recorder, &self.map, &self.view, world_from_camera);
+        let reader = self.map.record_counters(&mut recorder);
+        let _untimed = recorder.submit();
+        reader.read(&gpu.device).expect("the device answers")
+    }
+
+    /// Lists the visible blocks and fuses the view into them.
+    pub fn integrate(&mut self, gpu: &Gpu, world_from_camera: &Se3) {
+        let mut recorder = Recorder::new(&gpu.device);
+        self.record_visible(gpu, &mut recorder, world_from_camera);
+        gpu.integrate.record(&mut recorder, &self.map, &self.view, &self.calibration, world_from_camera, &self.options);
+        let _untimed = recorder.submit();
+    }
+
+    fn record_visible(&self, gpu: &Gpu, recorder: &mut Recorder, world_from_camera: &Se3) {
+        let camera = &self.calibration.depth;
+        gpu.visible.record(recorder, &self.map, camera, world_from_camera, RANGE_M[0], RANGE_M[1]);
+    }
+
+    /// Allocates and fuses a frame.
+    pub fn fuse(&mut self, gpu: &Gpu, frame: &Frame, world_from_camera: &Se3) -> FrameRecord {
+        let record = self.allocate(gpu, frame, world_from_camera);
+        self.integrate(gpu, world_from_camera);
+        record
+    }
+
+    /// Lays the grid around a view and casts it: ranges, points and normals.
+    pub fn cast(&mut self, gpu: &Gpu, camera: Intrinsics, world_from_camera: &Se3) -> RaycastImage {
+        let margin_m = self.map.layout().truncation_m;
+        self.map.lay_grid(&camera, world_from_camera, RANGE_M[1], margin_m).expect("a small view fits");
+        let image = RaycastImage::new(&gpu.device, camera);
+        let mut recorder = Recorder::new(&gpu.device);
+        gpu.allocate.fill_grid(&mut recorder, &self.map);
+        gpu.visible.record(&mut recorder, &self.map, &camera, world_from_camera, RANGE_M[0], RANGE_M[1]);
+        gpu.ranges.record(&mut recorder, &self.map, &image, world_from_camera);
+        gpu.raycast.record(&mut recorder, &self.map, &image, world_from_camera, RANGE_M);
+        gpu.normals.record(&mut recorder, &image, world_from_camera);
+        let _untimed = recorder.submit();
+        image
+    }
+
+    /// Keys of all blocks by block index; none may be free.
+    pub fn keys(&self) -> Vec<BlockKey> {
+        let keys = self.map.read_keys().expect("the device answers");
+        keys.into_iter().map(|k| k.expect("no block is free")).collect()
+    }
+
+    /// The visible list.
+    pub fn visible(&self, gpu: &Gpu) -> Vec<u32> {
+        self.map.read_visible(&gpu.device).expect("the device answers")
+    }
+
+    /// The whole map, read back.
+    pub fn read(&self) -> reference::Map {
+        let layout = self.map.layout();
+        let mut map = reference::Map::new(layout.voxel_size_m, layout.truncation_m);
+        for (key, index) in self.map.read_keys().expect("the device answers").into_iter().zip(0..) {
+            let Some(key) = key else { continue };
+            let mut block = reference::Block::default();
+            block.distances.copy_from_slice(&self.map.read_distances(index).expect("the device answers"));
+            if layout.colour {
+                block.colours.copy_from_slice(&self.map.read_colours(index).expect("the device answers"));
+            }
+            let before = map.blocks.insert(key.position, block);
+            assert!(before.is_none(), "two blocks at {}", key.position);
+        }
+        map
+    }
+}
+
+/// An image's points or normals (w is 0 where there is none) as the references take them.
+pub fn to_reference(image: &Image<[f32; 4]>) -> Image<Option<DVec3>> {
+    Image::from_fn(image.width(), image.height(), |x, y| {
+        let [px, py, pz, w] = image[(x, y)].map(f64::from);
+        (w > 0.0).then(|| DVec3::new(px, py, pz))
+    })
+}
+
+/// The value below which a share of all values lies.
+pub fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+    assert!(!values.is_empty(), "no values");
+    values.sort_by(f64::total_cmp);
+    values[((values.len() - 1) as f64 * share) as usize]
+}
