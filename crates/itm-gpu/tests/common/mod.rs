@@ -31,6 +31,24 @@ pub fn device() -> Option<&'static Device> {
     Some(DEVICE.get_or_init(|| Device::open("auto").expect("GPU tests need an adapter; a software driver will do")))
 }
 
+/// The same adapter opened anew with WebGPU's default limits, and such that a buffer holds at most so many bytes for a
+/// shader: maps then come in several pages early.
+///
+/// # Panics
+/// Where it cannot be opened.
+pub fn device_with_bindings_of(bytes: u64) -> Device {
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    descriptor.backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
+    let instance = wgpu::Instance::new(descriptor);
+    let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+    let name = device().expect("asked only where a device is").name();
+    let adapter = adapters.iter().find(|a| a.get_info().name == name).expect("it was opened before");
+    let limits = wgpu::Limits { max_storage_buffer_binding_size: bytes, ..Default::default() };
+    let descriptor = wgpu::DeviceDescriptor { required_limits: limits, ..Default::default() };
+    let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).expect("lower limits than it has");
+    Device::from_wgpu(device, queue, &adapter.get_info()).expect("all that the stages need")
+}
+
 /// The device and the stages of fusion, compiled once.
 #[derive(Debug)]
 pub struct Gpu {
