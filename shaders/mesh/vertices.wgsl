@@ -3,7 +3,7 @@
 import package::shared::map::unpack_position;
 import package::shared::padded::{PADDED_VOXELS, padded_index};
 import package::shared::edges::{EDGE_WORDS, EDGE_GROUPS, EDGE_STRIDE};
-import package::shared::distance::{unpack_distance, unpack_weight};
+import package::shared::distance::unpack_weight;
 
 struct Params {
     first: u32,
@@ -26,6 +26,12 @@ fn word_at(block: u32, voxel: vec3<i32>) -> u32 {
     return padded[block * PADDED_VOXELS + padded_index(voxel)];
 }
 
+// A distance in steps of its fixed-point number. Exact, unlike the distance itself, so that close to a voxel too the
+// surface's place is rounded only once.
+fn distance_in_steps(word: u32) -> f32 {
+    return 32767.5 - f32(word & 0xffffu);
+}
+
 // Derivative of the distance along an axis, from the neighbours that were seen.
 fn slope(block: u32, voxel: vec3<i32>, axis: vec3<i32>, here: f32) -> f32 {
     let below = word_at(block, voxel - axis);
@@ -33,12 +39,12 @@ fn slope(block: u32, voxel: vec3<i32>, axis: vec3<i32>, here: f32) -> f32 {
     let has_below = unpack_weight(below) > 0u;
     let has_above = unpack_weight(above) > 0u;
     if has_below && has_above {
-        return 0.5 * (unpack_distance(above) - unpack_distance(below));
+        return 0.5 * (distance_in_steps(above) - distance_in_steps(below));
     }
     if has_above {
-        return unpack_distance(above) - here;
+        return distance_in_steps(above) - here;
     }
-    return select(0.0, here - unpack_distance(below), has_below);
+    return select(0.0, here - distance_in_steps(below), has_below);
 }
 
 fn gradient(block: u32, voxel: vec3<i32>, here: f32) -> vec3<f32> {
@@ -71,11 +77,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         let corner = unpack_position(keys[params.first + block]) * 8;
         var out = vertex_offsets[params.first + block] + edges[base + EDGE_WORDS + group] - params.first_vertex;
         for (var word = group * 8u; word < group * 8u + 8u; word++) {
-            var bits = edges[base + word];
-            while bits != 0u {
-                let bit = word * 32u + firstTrailingBit(bits);
-                bits &= bits - 1u;
-                write_vertex(block, corner, bit, out);
+            for (var bits = edges[base + word]; bits != 0u; bits &= bits - 1u) {
+                write_vertex(block, corner, word * 32u + firstTrailingBit(bits), out);
                 out += 1u;
             }
         }
@@ -83,21 +86,21 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
 }
 
 fn write_vertex(block: u32, corner: vec3<i32>, bit: u32, out: u32) {
-    let index = bit / 3u;
-    let axis = bit % 3u;
+    let index = bit & 511u;
+    let axis = bit >> 9u;
     let a = vec3<i32>(vec3(index & 7u, (index >> 3u) & 7u, index >> 6u));
     let along = vec3<i32>(vec3(u32(axis == 0u), u32(axis == 1u), u32(axis == 2u)));
     let b = a + along;
     let word_a = word_at(block, a);
     let word_b = word_at(block, b);
-    let da = unpack_distance(word_a);
-    let db = unpack_distance(word_b);
+    let da = distance_in_steps(word_a);
+    let db = distance_in_steps(word_b);
     // The signs differ, so that the denominator is not zero.
     let t = da / (da - db);
     let position = (vec3<f32>(corner + a) + t * vec3<f32>(along)) * params.voxel_size_m;
     let slope_ab = mix(gradient(block, a, da), gradient(block, b, db), t);
     let steepness = length(slope_ab);
-    let normal = select(vec3<f32>(along) * sign(db - da), slope_ab / steepness, steepness > 1e-12);
+    let normal = select(vec3<f32>(along) * sign(db - da), slope_ab / steepness, steepness > 0.0);
     vertices[8u * out] = bitcast<u32>(position.x);
     vertices[8u * out + 1u] = bitcast<u32>(position.y);
     vertices[8u * out + 2u] = bitcast<u32>(position.z);

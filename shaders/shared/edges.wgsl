@@ -1,14 +1,10 @@
 // Mesh vertices lie on the lattice's edges. Each voxel owns the three edges that leave it along +x, +y, +z. For a block,
-// 48 words hold one bit for each of its 512 x 3 edges, then six words how many bits are set before each group of eight.
+// 48 words hold one bit for each of its 3 x 512 edges (axis by axis, voxels in their order), then six words how many
+// bits are set before each group of eight.
 
 const EDGE_WORDS: u32 = 48u;
 const EDGE_GROUPS: u32 = 6u;
 const EDGE_STRIDE: u32 = 54u;
-
-// Cube corner c lies at (c & 1, (c >> 1) & 1, c >> 2).
-fn corner(c: u32) -> vec3<i32> {
-    return vec3<i32>(vec3(c & 1u, (c >> 1u) & 1u, (c >> 2u) & 1u));
-}
 
 // Cube edge e runs along axis e / 4 from this corner.
 fn edge_start(e: u32) -> vec3<i32> {

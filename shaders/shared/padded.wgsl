@@ -1,5 +1,5 @@
-// A block's voxels with one layer of its neighbours' below and two above: 11x11x11, so that cells and central
-// differences need no look-ups.
+// A block's voxels with one layer of its neighbours' below and two above: 11x11x11, so that central
+// differences at both ends of its edges need no look-ups.
 
 const PADDED_SIDE: i32 = 11;
 const PADDED_VOXELS: u32 = 1331u;

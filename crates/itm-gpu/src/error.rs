@@ -77,4 +77,18 @@ pub enum Error {
         /// The calibration's.
         expected: (u32, u32),
     },
+    /// More blocks than the device can hold.
+    #[error("{wanted} blocks do not fit: this device can hold {limit}")]
+    TooManyBlocks {
+        /// Blocks that the map would have had.
+        wanted: u64,
+        /// Blocks that it can have.
+        limit: u32,
+    },
+    /// A mesh with more vertices or triangles than 32 bits can number.
+    #[error("the mesh of {blocks} blocks has more than 2^32 vertices or triangles: raise min_weight")]
+    MeshTooLarge {
+        /// Blocks of the map.
+        blocks: u32,
+    },
 }

@@ -27,7 +27,7 @@ pub mod visible;
 
 pub use device::{AdapterKind, AdapterReport, Capabilities, Device};
 pub use error::Error;
-pub use map::{BlockMap, FrameRecord, MapLayout, RecordReader};
+pub use map::{BlockMap, FrameRecord, HostBlock, MapLayout, RecordReader};
 pub use raycast::RaycastImage;
 pub use recorder::{Recorder, StageTimes};
 pub use view::View;

@@ -1,7 +1,7 @@
 //! The voxel block map's memory.
 
 use glam::{DVec3, IVec3, UVec3};
-use itm_core::voxel::{BLOCK_SIDE, BLOCK_VOXELS};
+use itm_core::voxel::{BLOCK_SIDE, BLOCK_VOXELS, BlockKey, ColourVoxel, DistanceVoxel};
 use itm_core::{Intrinsics, Se3};
 use itm_shaders::types;
 
@@ -16,6 +16,7 @@ pub(crate) const COUNTERS: u64 = 16;
 
 /// Words of the counters, as `shared/map.wgsl` names them.
 pub(crate) mod counter {
+    pub(crate) const BLOCKS: u32 = 0;
     pub(crate) const VISIBLE: u32 = 2;
     pub(crate) const REQUESTED: u32 = 3;
     pub(crate) const FRAGMENTS: u32 = 6;
@@ -70,6 +71,17 @@ pub struct BlockMap {
     pub(crate) fragment_counts: wgpu::Buffer,
     pub(crate) distances: Vec<wgpu::Buffer>,
     pub(crate) colours: Vec<wgpu::Buffer>,
+}
+
+/// A block's voxels in the host's memory, indexed as [`itm_core::voxel::index_in_block`] says.
+#[derive(Clone, Copy, Debug)]
+pub struct HostBlock<'a> {
+    /// Where the block lies.
+    pub key: BlockKey,
+    /// Its distances.
+    pub distances: &'a [DistanceVoxel; BLOCK_VOXELS],
+    /// Its colours, if known. A map without colours leaves them aside.
+    pub colours: Option<&'a [ColourVoxel; BLOCK_VOXELS]>,
 }
 
 /// A frame's record: the map's counters right after it.
@@ -253,6 +265,52 @@ impl BlockMap {
         self.capacity = blocks;
         let _untimed = recorder.submit();
         // So that the copies' sources are freed before anything else is made.
+        device.wait()
+    }
+
+    /// Appends blocks with their voxels, growing where needed, and rebuilds the hash: better many blocks at once than
+    /// few at a time. No two of them, and none in the map, may have the same key. The grid does not know of them until
+    /// `allocate` has filled it anew. Waits.
+    ///
+    /// # Errors
+    /// Where the device cannot hold them, in which case the map stays as it was, or was lost or ran out of memory.
+    pub fn insert_blocks(&mut self, blocks: &[HostBlock<'_>]) -> Result<(), Error> {
+        let first = self.read_record()?.blocks;
+        let wanted = u64::from(first) + blocks.len() as u64;
+        let limit = self.max_capacity();
+        let count = u32::try_from(wanted).ok().filter(|&count| count <= limit);
+        let count = count.ok_or(Error::TooManyBlocks { wanted, limit })?;
+        self.grow(count)?;
+        let queue = &self.device.queue;
+        // Few large writes: each takes a staging buffer of its own. One a megabyte, cut at the pages' borders.
+        let upload = (1 << 9).min(1 << self.page_shift);
+        let mut index = first;
+        let mut rest = blocks;
+        while !rest.is_empty() {
+            let in_page = index & ((1 << self.page_shift) - 1);
+            let room = (upload - in_page % upload) as usize;
+            let (now, later) = rest.split_at(room.min(rest.len()));
+            let page = (index >> self.page_shift) as usize;
+            let at = u64::from(in_page) * BLOCK_BYTES;
+            let keys: Vec<[u32; 2]> = now.iter().map(|b| b.key.pack()).collect();
+            queue.write_buffer(&self.keys, u64::from(index) * 8, bytemuck::cast_slice(&keys));
+            let distances: Vec<_> = now.iter().map(|b| *b.distances).collect();
+            queue.write_buffer(&self.distances[page], at, bytemuck::cast_slice(distances.as_flattened()));
+            if let Some(colours) = self.colours.get(page) {
+                let unseen = [ColourVoxel::default(); BLOCK_VOXELS];
+                let words: Vec<_> = now.iter().map(|b| *b.colours.unwrap_or(&unseen)).collect();
+                queue.write_buffer(colours, at, bytemuck::cast_slice(words.as_flattened()));
+            }
+            // Lets the staging buffers go.
+            queue.submit([]);
+            index += now.len() as u32;
+            rest = later;
+        }
+        queue.write_buffer(&self.counters, u64::from(counter::BLOCKS) * 4, bytemuck::bytes_of(&count));
+        let device = self.device.clone();
+        let mut recorder = Recorder::new(&device);
+        crate::hash::Hash::new(&device).rebuild(&mut recorder, self);
+        let _untimed = recorder.submit();
         device.wait()
     }
 

@@ -10,6 +10,7 @@ pub mod hash;
 pub mod icp;
 pub mod integrate;
 mod map;
+pub mod mesh;
 pub mod normals;
 pub mod ranges;
 pub mod raycast;
