@@ -52,9 +52,9 @@ struct Params {
     let old = unpack4x8unorm(word).rgb * 255.0;
     let change = (observed - old) / f32(weight + 1u);
     // A mean of bytes would stop following once its steps round to zero. Moving by at least one towards the observation
-    // turns it into a running median there.
+    // turns it into a running median there. A little over a half: halves are rounded up, so that downwards they stand still.
     let least = select(vec3(0.0), sign(observed - old), abs(observed - old) >= vec3(1.0));
-    let moved = select(old + change, old + least, abs(change) < vec3(0.5));
+    let moved = select(old + change, old + least, abs(change) < vec3(0.51));
     let limit = min(params.max_weight, 255u);
     colours[at] = pack4x8unorm(vec4(moved / 255.0, 0.0)) | (min(weight + 1u, limit) << 24u);
 }

@@ -100,7 +100,7 @@ pub fn fuse_distance(voxel: DistanceVoxel, observed: f64, options: &IntegrateOpt
 }
 
 /// A voxel after one more observation of its colour (0 to 255): the running mean, rounded to bytes. Where the mean would
-/// move by less than half a step, and so stand still for ever, it moves by one step towards an observation that is at
+/// move by half a step or less, and so might stand still for ever, it moves by one step towards an observation that is at
 /// least that far: a running median (McFarlane & Schofield 1995, *Segmentation and Tracking of Piglets in Images*).
 pub fn fuse_colour(voxel: ColourVoxel, observed: DVec3, max_weight: u16) -> ColourVoxel {
     let weight = voxel.weight();
@@ -109,7 +109,8 @@ pub fn fuse_colour(voxel: ColourVoxel, observed: DVec3, max_weight: u16) -> Colo
         let old = f64::from(voxel.rgb()[channel]);
         let difference = observed[channel] - old;
         let change = difference / (f64::from(weight) + 1.0);
-        let moved = if change.abs() >= 0.5 {
+        // A little over a half, so that rounding does not decide whether a change of exactly a half counts.
+        let moved = if change.abs() >= 0.51 {
             old + change
         } else if difference.abs() >= 1.0 {
             old + difference.signum()
