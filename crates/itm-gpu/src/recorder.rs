@@ -181,7 +181,7 @@ impl Recorder {
     }
 
     pub(crate) fn dispatch<B: Bindings>(&mut self, pipeline: &Pipeline, bindings: &B, groups: Groups<'_>) {
-        debug_assert!(std::ptr::eq(B::PASS, pipeline.pass), "bindings of {} for {}", B::PASS.name, pipeline.pass.name);
+        debug_assert_eq!(B::PASS.name, pipeline.pass.name, "bindings and pipeline of different passes");
         let uniform = bindings.uniform();
         let uniform_at = (!uniform.is_empty()).then(|| self.push_uniform(uniform));
         let bind_groups: Vec<_> = pipeline
