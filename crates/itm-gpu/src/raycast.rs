@@ -55,6 +55,19 @@ impl RaycastImage {
         self.read_image(device, &self.normals)
     }
 
+    /// Reads the range image back: for each 8x8 pixels the nearest and farthest depth at which they may see a surface,
+    /// in metres. Waits. For tests, exports and pictures.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read_ranges(&self, device: &Device) -> Result<Image<Option<[f32; 2]>>, Error> {
+        let [width, height] = range_size(&self.camera);
+        let words: Vec<[u32; 2]> = device.read(&self.ranges, 0, u64::from(width) * u64::from(height) * 8)?;
+        // The nearest depth is kept as the complement of its bits; zeroed memory is an empty range.
+        let range = |[near, far]: [u32; 2]| (far != 0).then(|| [f32::from_bits(!near), f32::from_bits(far)]);
+        Ok(Image::new(width, height, words.into_iter().map(range).collect()).expect("as many values as pixels"))
+    }
+
     fn read_image(&self, device: &Device, buffer: &wgpu::Buffer) -> Result<Image<[f32; 4]>, Error> {
         let values = device.read(buffer, 0, self.camera.pixels() as u64 * 16)?;
         Ok(Image::new(self.camera.width, self.camera.height, values).expect("as many values as pixels"))

@@ -17,12 +17,13 @@ use itm_gpu::raycast::Raycast;
 use itm_gpu::view::{ViewOptions, ViewStage};
 use itm_gpu::visible::Visible;
 use itm_gpu::{BlockMap, Device, FrameRecord, MapLayout, RaycastImage, Recorder, View, reference};
+use proptest::test_runner::Config as ProptestConfig;
 
 /// The device, opened once for a test binary; `None` where the environment variable `ITM_SKIP_GPU_TESTS` is set.
 ///
 /// # Panics
 /// Where no adapter can be opened: a test that cannot run has failed.
-pub fn device() -> Option<&'static Device> {
+pub(crate) fn device() -> Option<&'static Device> {
     if std::env::var_os("ITM_SKIP_GPU_TESTS").is_some() {
         println!("skipped, because ITM_SKIP_GPU_TESTS is set");
         return None;
@@ -31,12 +32,17 @@ pub fn device() -> Option<&'static Device> {
     Some(DEVICE.get_or_init(|| Device::open("auto").expect("GPU tests need an adapter; a software driver will do")))
 }
 
+/// Few cases, because the device may be a software one. A failure's input is printed in full, and kept nowhere else.
+pub(crate) fn cases(cases: u32) -> ProptestConfig {
+    ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() }
+}
+
 /// The same adapter opened anew with WebGPU's default limits, and such that a buffer holds at most so many bytes for a
 /// shader: maps then come in several pages early.
 ///
 /// # Panics
 /// Where it cannot be opened.
-pub fn device_with_bindings_of(bytes: u64) -> Device {
+pub(crate) fn device_with_bindings_of(bytes: u64) -> Device {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     descriptor.backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
     let instance = wgpu::Instance::new(descriptor);
@@ -51,20 +57,20 @@ pub fn device_with_bindings_of(bytes: u64) -> Device {
 
 /// The device and the stages of fusion, compiled once.
 #[derive(Debug)]
-pub struct Gpu {
-    pub device: Device,
-    pub view: ViewStage,
-    pub allocate: Allocate,
-    pub visible: Visible,
-    pub integrate: Integrate,
-    pub ranges: Ranges,
-    pub raycast: Raycast,
-    pub normals: Normals,
-    pub hash: Hash,
+pub(crate) struct Gpu {
+    pub(crate) device: Device,
+    pub(crate) view: ViewStage,
+    pub(crate) allocate: Allocate,
+    pub(crate) visible: Visible,
+    pub(crate) integrate: Integrate,
+    pub(crate) ranges: Ranges,
+    pub(crate) raycast: Raycast,
+    pub(crate) normals: Normals,
+    pub(crate) hash: Hash,
 }
 
 impl Gpu {
-    pub fn new(device: &Device) -> Self {
+    pub(crate) fn new(device: &Device) -> Self {
         Self {
             device: device.clone(),
             view: ViewStage::new(device),
@@ -80,26 +86,26 @@ impl Gpu {
 }
 
 /// [`device`] with the stages.
-pub fn gpu() -> Option<&'static Gpu> {
+pub(crate) fn gpu() -> Option<&'static Gpu> {
     static GPU: OnceLock<Gpu> = OnceLock::new();
     device().map(|device| GPU.get_or_init(|| Gpu::new(device)))
 }
 
 /// A camera with a field of view of about 60 degrees, its principal point beside the middle.
-pub fn camera(width: u32, height: u32) -> Intrinsics {
+pub(crate) fn camera(width: u32, height: u32) -> Intrinsics {
     let focal = 0.87 * f64::from(width);
     Intrinsics::new(width, height, focal, focal * 1.01, f64::from(width) * 0.49, f64::from(height) * 0.52)
 }
 
 /// A frame of depth in metres, with colour if any.
-pub fn frame(depth: Image<f32>, colour: Option<ColourImage>) -> Frame {
+pub(crate) fn frame(depth: Image<f32>, colour: Option<ColourImage>) -> Frame {
     let depth = DepthImage::Metres(depth);
     Frame { index: 0, timestamp: Timestamp(0), depth, colour, world_from_camera: None }
 }
 
 /// Something whose surface a ray meets in closed form (world frame, metres).
 #[derive(Clone, Copy, Debug)]
-pub enum Shape {
+pub(crate) enum Shape {
     /// The points with `normal · p = distance`; the normal has unit length.
     Plane { normal: DVec3, distance: f64 },
     /// A sphere, seen from outside.
@@ -137,7 +143,7 @@ impl Shape {
     }
 
     /// Distance of a point from the surface, in metres.
-    pub fn distance(&self, point: DVec3) -> f64 {
+    pub(crate) fn distance(&self, point: DVec3) -> f64 {
         match *self {
             Self::Plane { normal, distance } => (normal.dot(point) - distance).abs(),
             Self::Sphere { centre, radius } => (point.distance(centre) - radius).abs(),
@@ -165,11 +171,11 @@ impl Shape {
 
 /// Several shapes.
 #[derive(Clone, Debug)]
-pub struct Scene(pub Vec<Shape>);
+pub(crate) struct Scene(pub(crate) Vec<Shape>);
 
 impl Scene {
     /// A room of 3.2 x 2.4 x 3.6 m around the origin with a ball and a box in it.
-    pub fn room() -> Self {
+    pub(crate) fn room() -> Self {
         Self(vec![
             Shape::Room { centre: DVec3::new(0.03, -0.02, 0.01), half: DVec3::new(1.6, 1.2, 1.8) },
             Shape::Sphere { centre: DVec3::new(0.3, 0.2, 0.9), radius: 0.4 },
@@ -178,7 +184,7 @@ impl Scene {
     }
 
     /// What a depth camera without noise measures: metres along the optical axis, 0 where a ray meets nothing.
-    pub fn depth(&self, camera: &Intrinsics, world_from_camera: &Se3) -> Image<f32> {
+    pub(crate) fn depth(&self, camera: &Intrinsics, world_from_camera: &Se3) -> Image<f32> {
         Image::from_fn(camera.width, camera.height, |x, y| {
             let ray = camera.unproject(DVec2::new(x.into(), y.into()), 1.0);
             let ray = world_from_camera.transform_vector(ray);
@@ -193,18 +199,18 @@ impl Scene {
     }
 
     /// Distance of a point from the nearest surface, in metres.
-    pub fn distance(&self, point: DVec3) -> f64 {
+    pub(crate) fn distance(&self, point: DVec3) -> f64 {
         self.nearest(point).distance(point)
     }
 
     /// The normal of the surface nearest to a point, towards whoever sees it.
-    pub fn normal(&self, point: DVec3, seen_from: DVec3) -> DVec3 {
+    pub(crate) fn normal(&self, point: DVec3, seen_from: DVec3) -> DVec3 {
         self.nearest(point).normal(point, seen_from)
     }
 }
 
 /// A colour image without flat or straight parts.
-pub fn colours(camera: &Intrinsics) -> ColourImage {
+pub(crate) fn colours(camera: &Intrinsics) -> ColourImage {
     ColourImage::from_fn(camera.width, camera.height, |x, y| {
         let wave = |a: f64, b: f64| (127.5 + 127.4 * (a * f64::from(x) + b * f64::from(y)).sin()) as u8;
         [wave(0.31, 0.12), wave(-0.07, 0.4), wave(0.02, -0.05), 0]
@@ -212,36 +218,43 @@ pub fn colours(camera: &Intrinsics) -> ColourImage {
 }
 
 /// Poses in the room, not far apart, each looking towards the ball.
-pub fn poses() -> [Se3; 3] {
+pub(crate) fn poses() -> [Se3; 3] {
     [[-0.1, -0.1, -1.0, 0.05, -0.1, 0.02], [0.2, 0.05, -0.9, -0.08, 0.06, -0.1], [0.0, -0.2, -1.1, -0.15, 0.02, 0.3]]
         .map(Se3::exp)
 }
 
 /// How the tests fuse.
-pub const OPTIONS: IntegrateOptions = IntegrateOptions { max_weight: 100, stop_at_max_weight: false, colour_band: 0.5 };
+pub(crate) const OPTIONS: IntegrateOptions =
+    IntegrateOptions { max_weight: 100, stop_at_max_weight: false, colour_band: 0.5 };
 
 /// Depth that the tests look at, in metres.
-pub const RANGE_M: [f32; 2] = [0.2, 4.0];
+pub(crate) const RANGE_M: [f32; 2] = [0.2, 4.0];
 
 /// A map on the device and what fills it.
 #[derive(Debug)]
-pub struct Fusion {
-    pub map: BlockMap,
-    pub view: View,
-    pub calibration: Calibration,
-    pub view_options: ViewOptions,
-    pub options: IntegrateOptions,
+pub(crate) struct Fusion {
+    pub(crate) map: BlockMap,
+    pub(crate) view: View,
+    pub(crate) calibration: Calibration,
+    pub(crate) view_options: ViewOptions,
+    pub(crate) options: IntegrateOptions,
 }
 
 impl Fusion {
     /// An empty map with voxels of a size, a truncation band of four voxels, and so many blocks.
-    pub fn new(gpu: &Gpu, camera: Intrinsics, voxel_size_m: f32, colour: bool, blocks: u32) -> Self {
+    pub(crate) fn new(gpu: &Gpu, camera: Intrinsics, voxel_size_m: f32, colour: bool, blocks: u32) -> Self {
         let calibration = Calibration::registered(camera, DepthConversion::MILLIMETRES);
         Self::with_calibration(gpu, calibration, voxel_size_m, colour, blocks)
     }
 
     /// The same, with a calibration.
-    pub fn with_calibration(gpu: &Gpu, calibration: Calibration, voxel_size_m: f32, colour: bool, blocks: u32) -> Self {
+    pub(crate) fn with_calibration(
+        gpu: &Gpu,
+        calibration: Calibration,
+        voxel_size_m: f32,
+        colour: bool,
+        blocks: u32,
+    ) -> Self {
         let view_options = ViewOptions {
             depth_range_m: RANGE_M,
             bilateral_passes: 0,
@@ -260,7 +273,7 @@ impl Fusion {
     }
 
     /// Takes a frame over and allocates; returns the frame's record.
-    pub fn allocate(&mut self, gpu: &Gpu, frame: &Frame, world_from_camera: &Se3) -> FrameRecord {
+    pub(crate) fn allocate(&mut self, gpu: &Gpu, frame: &Frame, world_from_camera: &Se3) -> FrameRecord {
         let camera = self.calibration.depth;
         let margin_m = self.map.layout().truncation_m;
         self.map.lay_grid(&camera, world_from_camera, RANGE_M[1], margin_m).expect("a small view fits");
@@ -273,7 +286,7 @@ impl Fusion {
     }
 
     /// Lists the visible blocks and fuses the view into them.
-    pub fn integrate(&mut self, gpu: &Gpu, world_from_camera: &Se3) {
+    pub(crate) fn integrate(&mut self, gpu: &Gpu, world_from_camera: &Se3) {
         let mut recorder = Recorder::new(&gpu.device);
         self.record_visible(gpu, &mut recorder, world_from_camera);
         gpu.integrate.record(&mut recorder, &self.map, &self.view, &self.calibration, world_from_camera, &self.options);
@@ -286,14 +299,14 @@ impl Fusion {
     }
 
     /// Allocates and fuses a frame.
-    pub fn fuse(&mut self, gpu: &Gpu, frame: &Frame, world_from_camera: &Se3) -> FrameRecord {
+    pub(crate) fn fuse(&mut self, gpu: &Gpu, frame: &Frame, world_from_camera: &Se3) -> FrameRecord {
         let record = self.allocate(gpu, frame, world_from_camera);
         self.integrate(gpu, world_from_camera);
         record
     }
 
     /// Lays the grid around a view and casts it: ranges, points and normals.
-    pub fn cast(&mut self, gpu: &Gpu, camera: Intrinsics, world_from_camera: &Se3) -> RaycastImage {
+    pub(crate) fn cast(&mut self, gpu: &Gpu, camera: Intrinsics, world_from_camera: &Se3) -> RaycastImage {
         let margin_m = self.map.layout().truncation_m;
         self.map.lay_grid(&camera, world_from_camera, RANGE_M[1], margin_m).expect("a small view fits");
         let image = RaycastImage::new(&gpu.device, camera);
@@ -308,18 +321,18 @@ impl Fusion {
     }
 
     /// Keys of all blocks by block index; none may be free.
-    pub fn keys(&self) -> Vec<BlockKey> {
+    pub(crate) fn keys(&self) -> Vec<BlockKey> {
         let keys = self.map.read_keys().expect("the device answers");
         keys.into_iter().map(|k| k.expect("no block is free")).collect()
     }
 
     /// The visible list.
-    pub fn visible(&self, gpu: &Gpu) -> Vec<u32> {
+    pub(crate) fn visible(&self, gpu: &Gpu) -> Vec<u32> {
         self.map.read_visible(&gpu.device).expect("the device answers")
     }
 
     /// The whole map, read back.
-    pub fn read(&self) -> reference::Map {
+    pub(crate) fn read(&self) -> reference::Map {
         let layout = self.map.layout();
         let mut map = reference::Map::new(layout.voxel_size_m, layout.truncation_m);
         for (key, index) in self.map.read_keys().expect("the device answers").into_iter().zip(0..) {
@@ -337,7 +350,7 @@ impl Fusion {
 }
 
 /// An image's points or normals (w is 0 where there is none) as the references take them.
-pub fn to_reference(image: &Image<[f32; 4]>) -> Image<Option<DVec3>> {
+pub(crate) fn to_reference(image: &Image<[f32; 4]>) -> Image<Option<DVec3>> {
     Image::from_fn(image.width(), image.height(), |x, y| {
         let [px, py, pz, w] = image[(x, y)].map(f64::from);
         (w > 0.0).then(|| DVec3::new(px, py, pz))
@@ -345,7 +358,7 @@ pub fn to_reference(image: &Image<[f32; 4]>) -> Image<Option<DVec3>> {
 }
 
 /// The value below which a share of all values lies.
-pub fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+pub(crate) fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     assert!(!values.is_empty(), "no values");
     values.sort_by(f64::total_cmp);
     values[((values.len() - 1) as f64 * share) as usize]

@@ -1,0 +1,248 @@
+//! Stage `view` on the device against its reference.
+
+mod common;
+
+use glam::DVec3;
+use itm_core::{Calibration, ColourImage, DepthConversion, DepthImage, Frame, Image, Intrinsics, Se3, Timestamp};
+use itm_gpu::view::{ViewOptions, ViewStage};
+use itm_gpu::{Device, Error, Recorder, View, reference};
+use proptest::prelude::*;
+
+const RANGE_M: [f32; 2] = [0.3, 4.0];
+/// What the stage takes for a depth edge, in metres.
+const EDGE_M: f32 = 0.1;
+
+const OPTIONS: ViewOptions =
+    ViewOptions { depth_range_m: RANGE_M, bilateral_passes: 0, levels: 5, vertices: true, intensity_levels: 4 };
+
+fn run(device: &Device, calibration: &Calibration, frame: &Frame, options: &ViewOptions) -> View {
+    let mut view = View::new(device, calibration, options);
+    let mut recorder = Recorder::new(device);
+    ViewStage::new(device).record(&mut recorder, &mut view, frame, options).unwrap();
+    let _untimed = recorder.submit();
+    view
+}
+
+fn assert_close(found: &Image<f32>, expected: &Image<f32>, tolerance: f32) -> Result<(), TestCaseError> {
+    prop_assert_eq!(found.size(), expected.size());
+    for (i, (a, b)) in found.data().iter().zip(expected.data()).enumerate() {
+        prop_assert!((a - b).abs() <= tolerance, "value {i}: {a} but {b}");
+    }
+    Ok(())
+}
+
+/// Random sizes, with those that are odd in some way drawn often.
+fn size() -> impl Strategy<Value = (u32, u32)> {
+    prop_oneof![Just((1, 1)), Just((81, 61)), Just((2, 33)), (1..100u32, 1..80u32)]
+}
+
+/// Wavy surfaces with jumps, holes and millimetres of noise, from a few random numbers.
+fn depth_image((width, height): (u32, u32), seed: [u32; 4]) -> Image<f32> {
+    let [a, b, c, d] = seed.map(|s| s as f32 / u32::MAX as f32);
+    Image::from_fn(width, height, |x, y| {
+        let hash = (x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ seed[0]).wrapping_mul(0xc2b2_ae35) >> 8;
+        if hash % 11 == 0 {
+            return 0.0;
+        }
+        let noise = (hash % 1000) as f32 * 4e-6;
+        let (u, v) = (x as f32 * 0.05, y as f32 * 0.05);
+        let jump = if (u * a + v * b).sin() > 0.3 { 0.8 } else { 0.0 };
+        0.6 + 2.0 * a + 0.1 * (u + 6.0 * c).sin() * (v + 6.0 * d).cos() + jump + noise
+    })
+}
+
+fn camera((width, height): (u32, u32), negative_fy: bool) -> Intrinsics {
+    let camera = common::camera(width, height);
+    if negative_fy { Intrinsics { fy: -camera.fy, ..camera } } else { camera }
+}
+
+proptest! {
+    #![proptest_config(common::cases(16))]
+
+    #[test]
+    fn raw_depth_becomes_metres(
+        size in size(),
+        seed in any::<u32>(),
+        conversion in prop_oneof![
+            Just(DepthConversion::MILLIMETRES),
+            Just(DepthConversion::TUM),
+            Just(DepthConversion::Affine { scale: 0.00125, offset: -0.031 }),
+            Just(DepthConversion::Disparity { a: 1135.09, b: 0.0819141 }),
+        ],
+    ) {
+        let Some(device) = common::device() else { return Ok(()) };
+        let calibration = Calibration::registered(camera(size, false), conversion);
+        let focal_x = calibration.depth.fx;
+        let raw = Image::from_fn(size.0, size.1, |x, y| {
+            let value = (x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ seed).wrapping_mul(0xc2b2_ae35) >> 8;
+            // All values, those that mean something among them often.
+            match value % 4 {
+                0 => (value >> 4) as u16,
+                1 => [0, 65_535][(value >> 4) as usize % 2],
+                _ => 300 + (value >> 4) as u16 % 4000,
+            }
+        });
+        let everything = reference::view::convert_depth(&raw, conversion, focal_x, [f32::MIN, f32::MAX]);
+        let frame = Frame {
+            index: 0,
+            timestamp: Timestamp(0),
+            depth: DepthImage::Raw(raw),
+            colour: None,
+            world_from_camera: None,
+        };
+        let view = run(device, &calibration, &frame, &OPTIONS);
+        let metres = view.read_depth(device, 0).unwrap();
+        for (found, exact) in metres.data().iter().zip(everything.data()) {
+            // Single precision: a few relative roundings of 6e-8 each. In `b / (a - raw)` also `a` is rounded, by up to
+            // 6.1e-5 for numbers between 1024 and 2048.
+            let tolerance = 5e-7 * exact.abs()
+                + match conversion {
+                    DepthConversion::Affine { .. } => 0.0,
+                    DepthConversion::Disparity { b, .. } => 6.5e-5 * exact * exact / (8.0 * b * focal_x) as f32,
+                };
+            if *found == 0.0 {
+                prop_assert!(!(RANGE_M[0] + tolerance..RANGE_M[1] - tolerance).contains(exact), "{exact} was dropped");
+            } else {
+                prop_assert!((found - exact).abs() <= tolerance, "{found} but {exact}");
+                prop_assert!((RANGE_M[0]..=RANGE_M[1]).contains(found));
+            }
+        }
+    }
+
+    #[test]
+    fn depth_is_smoothed_and_halved_and_given_vertices(
+        size in size(), seed in any::<[u32; 4]>(), negative_fy: bool, passes in 1..4u32,
+    ) {
+        let Some(device) = common::device() else { return Ok(()) };
+        let calibration = Calibration::registered(camera(size, negative_fy), DepthConversion::MILLIMETRES);
+        let frame = common::frame(depth_image(size, seed), None);
+        let view = run(device, &calibration, &frame, &OPTIONS);
+        let mut depth = view.read_depth(device, 0).unwrap();
+        let DepthImage::Metres(metres) = &frame.depth else { unreachable!("made of metres") };
+        // Nothing is computed here, so nothing may differ.
+        prop_assert_eq!(&depth, &reference::view::clip_depth(metres, RANGE_M));
+
+        check_vertices(&view.read_vertices(device).unwrap().unwrap(), &depth, &calibration.depth)?;
+
+        for level in 1..OPTIONS.levels {
+            let halved = view.read_depth(device, level).unwrap();
+            let camera = view.level_camera(level);
+            prop_assert_eq!(halved.size(), (camera.width, camera.height));
+            // A sum of four and its quotient: four roundings of up to 16 m.
+            assert_close(&halved, &reference::view::halve_depth(&depth, EDGE_M), 4.0 * 16.0 * 6e-8)?;
+            depth = halved;
+        }
+
+        let smoothed = run(device, &calibration, &frame, &ViewOptions { bilateral_passes: passes, ..OPTIONS });
+        let mut expected = reference::view::clip_depth(metres, RANGE_M);
+        for _ in 0..passes {
+            expected = reference::view::bilateral(&expected);
+        }
+        // A pass sums 25 values of up to 4 m, each rounded; errors of exp (Vulkan allows a relative 2e-7 (3 + 2 |x|))
+        // count only by how far values that still have a weight lie apart, some centimetres.
+        assert_close(&smoothed.read_depth(device, 0).unwrap(), &expected, passes as f32 * 3e-6)?;
+    }
+
+    #[test]
+    fn colour_becomes_intensity_its_pyramid_and_gradients(size in size(), seed in any::<u32>()) {
+        let Some(device) = common::device() else { return Ok(()) };
+        // Colour of another size than depth.
+        let calibration = Calibration {
+            depth: camera((7, 5), false),
+            ..Calibration::registered(camera(size, false), DepthConversion::MILLIMETRES)
+        };
+        let colour = ColourImage::from_fn(size.0, size.1, |x, y| {
+            let value = (x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ seed).wrapping_mul(0xc2b2_ae35);
+            value.to_le_bytes()
+        });
+        let mut expected = reference::view::intensity(&colour);
+        let view = run(device, &calibration, &common::frame(Image::filled(7, 5, 1.0), Some(colour)), &OPTIONS);
+        for level in 0..OPTIONS.intensity_levels {
+            let (intensity, gradients) = view.read_intensity(device, level).unwrap();
+            // Intensities are at most 1; a few roundings of 6e-8 each.
+            assert_close(&intensity, &expected, 3e-7)?;
+            let exact = reference::view::gradients(&intensity);
+            prop_assert_eq!(gradients.size(), exact.size());
+            for (a, b) in gradients.data().iter().zip(exact.data()) {
+                // Sums of up to 16 before they are divided by 32.
+                prop_assert!((a[0] - b[0]).abs() <= 5e-7 && (a[1] - b[1]).abs() <= 5e-7, "{a:?} but {b:?}");
+            }
+            expected = reference::view::halve_intensity(&intensity);
+        }
+    }
+}
+
+/// Vertices and normals against the reference's, for the depth that they were made of.
+fn check_vertices(
+    (vertices, normals): &(Image<[f32; 4]>, Image<[f32; 4]>),
+    depth: &Image<f32>,
+    camera: &Intrinsics,
+) -> Result<(), TestCaseError> {
+    let expected = reference::view::vertices(depth, camera, EDGE_M);
+    for (i, expected) in expected.data().iter().enumerate() {
+        let [x, y, z, w] = vertices.data()[i].map(f64::from);
+        let [nx, ny, nz, nw] = normals.data()[i].map(f64::from);
+        let Some(expected) = expected else {
+            prop_assert_eq!([x, y, z, w, nx, ny, nz, nw], [0.0; 8]);
+            continue;
+        };
+        prop_assert_eq!(w, 1.0);
+        // A handful of relative roundings of 6e-8 each.
+        let vertex = DVec3::new(x, y, z);
+        let tolerance = 4e-7 * expected.position.length();
+        prop_assert!(vertex.abs_diff_eq(expected.position, tolerance), "{vertex} but {}", expected.position);
+        let normal = DVec3::new(nx, ny, nz);
+        match expected.normal {
+            None => prop_assert_eq!([nx, ny, nz, nw], [0.0; 4]),
+            Some(exact) => {
+                prop_assert_eq!(nw, 1.0);
+                // Neighbours are two pixels apart, at least 2 z / f sideways, and uncertain by 4e-7 z each; their
+                // difference's direction thus by 4e-7 f. A jump in depth of up to 2 * 0.1 m between them, 12 to 100
+                // times the step sideways, makes the two differences nearly parallel, and their product that much
+                // less certain.
+                prop_assert!(normal.abs_diff_eq(exact, 4e-7 * camera.fx * 100.0), "{normal} but {exact}");
+            }
+        }
+    }
+    Ok(())
+}
+
+#[test]
+fn what_is_no_depth_is_dropped() {
+    let Some(device) = common::device() else { return };
+    let calibration = Calibration::registered(camera((7, 1), false), DepthConversion::MILLIMETRES);
+    let metres = vec![f32::NAN, f32::INFINITY, -1.0, 0.0, RANGE_M[0], RANGE_M[1], RANGE_M[1].next_up()];
+    let frame = common::frame(Image::new(7, 1, metres).unwrap(), None);
+    let options = ViewOptions { levels: 1, vertices: false, intensity_levels: 0, ..OPTIONS };
+    let view = run(device, &calibration, &frame, &options);
+    let found = view.read_depth(device, 0).unwrap();
+    assert_eq!(found.data(), &[0.0, 0.0, 0.0, 0.0, RANGE_M[0], RANGE_M[1], 0.0]);
+}
+
+#[test]
+fn images_of_the_wrong_size_are_refused() {
+    let Some(device) = common::device() else { return };
+    let calibration = Calibration::registered(camera((8, 6), false), DepthConversion::MILLIMETRES);
+    let mut view = View::new(device, &calibration, &OPTIONS);
+    let stage = ViewStage::new(device);
+    let mut record = |frame: &Frame| stage.record(&mut Recorder::new(device), &mut view, frame, &OPTIONS);
+    let error = record(&common::frame(Image::filled(8, 7, 1.0), None)).unwrap_err();
+    assert!(matches!(error, Error::ImageSize { image: "depth", found: (8, 7), expected: (8, 6) }), "{error}");
+    let colour = ColourImage::filled(7, 6, [0; 4]);
+    let error = record(&common::frame(Image::filled(8, 6, 1.0), Some(colour))).unwrap_err();
+    assert!(matches!(error, Error::ImageSize { image: "colour", .. }), "{error}");
+}
+
+#[test]
+fn a_large_image_goes_through_in_one_piece() {
+    let Some(device) = common::device() else { return };
+    let camera = common::camera(1280, 1024);
+    let calibration = Calibration::registered(camera, DepthConversion::MILLIMETRES);
+    let depth = common::Scene::room().depth(&camera, &Se3::IDENTITY);
+    let frame = common::frame(depth.clone(), Some(common::colours(&camera)));
+    let view = run(device, &calibration, &frame, &OPTIONS);
+    assert_eq!(view.read_depth(device, 0).unwrap(), reference::view::clip_depth(&depth, RANGE_M));
+    let coarse = view.read_depth(device, 4).unwrap();
+    assert_eq!(coarse.size(), (80, 64));
+    assert!(coarse.data().iter().all(|z| *z > 0.0), "every ray meets the room");
+}
