@@ -58,11 +58,11 @@ fn gradient(block: u32, voxel: vec3<i32>, here: f32) -> vec3<f32> {
 @if(colour) fn mixed_colour(block: u32, a: vec3<i32>, b: vec3<i32>, t: f32) -> u32 {
     let at = padded_colours[block * PADDED_VOXELS + padded_index(a)];
     let bt = padded_colours[block * PADDED_VOXELS + padded_index(b)];
-    // Only voxels that hold a colour count.
+    // Only voxels that hold a colour count. The surface never lies in a voxel itself, so that both shares are positive.
     let wa = select(0.0, 1.0 - t, (at >> 24u) > 0u);
     let wb = select(0.0, t, (bt >> 24u) > 0u);
-    if wa + wb <= 0.0 {
-        return select(bt, at, (at >> 24u) > 0u) & 0xffffffu;
+    if wa + wb == 0.0 {
+        return 0u;
     }
     let mixed = (unpack4x8unorm(at) * wa + unpack4x8unorm(bt) * wb) / (wa + wb);
     return pack4x8unorm(vec4(mixed.rgb, 0.0));

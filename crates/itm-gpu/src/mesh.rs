@@ -134,12 +134,7 @@ impl Extract {
     ///
     /// # Errors
     /// Where the device was lost or ran out of memory, or the mesh has more vertices than 32 bits can number.
-    pub fn run(
-        &self,
-        map: &BlockMap,
-        options: &Options,
-        progress: &mut dyn FnMut(u32, u32),
-    ) -> Result<Mesh, Error> {
+    pub fn run(&self, map: &BlockMap, options: &Options, progress: &mut dyn FnMut(u32, u32)) -> Result<Mesh, Error> {
         let blocks = map.read_record()?.blocks;
         if blocks == 0 {
             return Ok(Mesh::default());

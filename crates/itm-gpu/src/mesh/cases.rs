@@ -41,9 +41,7 @@ pub(crate) fn edge_start(edge: usize) -> usize {
 
 /// Whether two edges lie on one face of the cube.
 fn share_face(a: usize, b: usize) -> bool {
-    (0..3).any(|axis| {
-        a / 4 != axis && b / 4 != axis && (edge_start(a) ^ edge_start(b)) >> axis & 1 == 0
-    })
+    (0..3).any(|axis| a / 4 != axis && b / 4 != axis && (edge_start(a) ^ edge_start(b)) >> axis & 1 == 0)
 }
 
 /// The loops in which a cell's surface meets the cube's edges, each counter-clockwise as seen from the positive side.
