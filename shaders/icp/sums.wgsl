@@ -1,7 +1,7 @@
 // Point-to-plane ICP with projective association: each depth pixel against the surface that the model shows there
 // (Newcombe et al. 2011, section 3.5; the report, section 3.1.1). An invocation sums over many pixels and writes a row
-// of the upper triangle of JᵀJ (21), Jᵀr (6), the sum of r² and the number of pairs. No barrier, and always the same
-// order of additions.
+// of the upper triangle of JᵀJ (21), Jᵀr (6), the sum of r², the number of pairs and that of pixels with a depth. No
+// barrier, and always the same order of additions.
 import package::shared::camera::{Camera, unproject, project};
 
 struct Params {
@@ -35,17 +35,19 @@ struct Pair {
     translation: vec3<f32>,
     rotation: vec3<f32>,
     residual: f32,
-    // 1 for a pair, 0 for none, in which case all else is 0 too.
+    // 1 for a pair, 0 for none, in which case all before is 0 too.
     count: f32,
+    // 1 where the pixel has a depth.
+    valid: f32,
 }
 
 fn pair(pixel: u32) -> Pair {
-    let none = Pair(vec3(0.0), vec3(0.0), 0.0, 0.0);
     let size = params.depth_camera.size;
     let z = depth[pixel];
     if z <= 0.0 {
-        return none;
+        return Pair(vec3(0.0), vec3(0.0), 0.0, 0.0, 0.0);
     }
+    let none = Pair(vec3(0.0), vec3(0.0), 0.0, 0.0, 1.0);
     let position = vec2<f32>(vec2(pixel % size.x, pixel / size.x));
     let world = (params.world_from_camera * vec4(unproject(params.depth_camera, position, z), 1.0)).xyz;
     let seen = (params.model_camera_from_world * vec4(world, 1.0)).xyz;
@@ -64,7 +66,7 @@ fn pair(pixel: u32) -> Pair {
         return none;
     }
     let arm = world - params.pivot;
-    return Pair(normal.xyz, cross(arm, normal.xyz), dot(offset, normal.xyz), 1.0);
+    return Pair(normal.xyz, cross(arm, normal.xyz), dot(offset, normal.xyz), 1.0, 1.0);
 }
 
 @compute @workgroup_size(LANES)
@@ -85,6 +87,7 @@ fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group
     var gr = vec3(0.0);
     var squares = 0.0;
     var count = 0.0;
+    var valid = 0.0;
     // Lanes of a workgroup take neighbouring pixels.
     var pixel = group.x * LANES * PIXELS + lane;
     for (var i = 0u; i < PIXELS; i++) {
@@ -103,6 +106,7 @@ fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group
             gr += r * p.residual;
             squares += p.residual * p.residual;
             count += p.count;
+            valid += p.valid;
         }
         pixel += LANES;
     }
@@ -137,4 +141,5 @@ fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group
     partial_sums[out + 26u] = gr.z;
     partial_sums[out + 27u] = squares;
     partial_sums[out + 28u] = count;
+    partial_sums[out + 29u] = valid;
 }

@@ -3,13 +3,13 @@
 //! Requests are deduplicated in a bitmap over the grid around the view, numbered by prefix sum and inserted, so that
 //! nothing depends on which invocation comes first and colliding keys all find their place in the same frame.
 
-use itm_core::{Intrinsics, Se3};
+use itm_core::Se3;
 use itm_shaders::allocate;
 
 use crate::map::{PENDING_CAPACITY, camera_params, counter, indirect};
 use crate::recorder::{Groups, Pipeline};
 use crate::scan::{Scan, Total};
-use crate::{BlockMap, Device, Recorder};
+use crate::{BlockMap, Device, Recorder, View};
 
 /// The stage's pipelines.
 #[derive(Debug)]
@@ -51,16 +51,9 @@ impl Allocate {
         recorder.dispatch(&self.fill_grid, &bindings, Groups::linear(map.capacity().into(), 64));
     }
 
-    /// Records the whole stage for a depth image (metres, 0 where there is none) seen from a pose. The grid must have
-    /// been laid around that view.
-    pub fn record(
-        &self,
-        recorder: &mut Recorder,
-        map: &BlockMap,
-        depth: &wgpu::Buffer,
-        camera: &Intrinsics,
-        world_from_camera: &Se3,
-    ) {
+    /// Records the whole stage for a view's depth seen from a pose. The grid must have been laid around that view.
+    pub fn record(&self, recorder: &mut Recorder, map: &BlockMap, view: &View, world_from_camera: &Se3) {
+        let camera = view.level_camera(0);
         self.fill_grid(recorder, map);
         let words = map.cells().div_ceil(32);
         let chunks = words.div_ceil(32);
@@ -71,7 +64,7 @@ impl Allocate {
                 world_from_camera: world_from_camera.to_mat4().to_cols_array_2d(),
                 map: map.params(),
             },
-            depth,
+            depth: view.depth(),
             cells: &map.grid,
             requests: &map.requests,
         };

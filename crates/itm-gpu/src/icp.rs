@@ -19,16 +19,18 @@ pub struct NormalEquations {
     pub squares: f64,
     /// Pairs that took part.
     pub count: u32,
+    /// Pixels with a depth, whether they found a partner or not.
+    pub valid: u32,
 }
 
-/// The sums, row by row: the upper triangle of JᵀJ, Jᵀr, the squares, the count.
+/// The sums, row by row: the upper triangle of JᵀJ, Jᵀr, the squares, the two counts.
 const COLUMNS: u64 = 32;
 
 impl NormalEquations {
     fn new(sums: &[f32]) -> Self {
         let mut hessian = [[0.0; 6]; 6];
         let mut next = sums.iter().map(|v| f64::from(*v));
-        let mut take = || next.next().expect("29 sums");
+        let mut take = || next.next().expect("30 sums");
         for row in 0..6 {
             for column in row..6 {
                 let value = take();
@@ -38,7 +40,7 @@ impl NormalEquations {
         }
         let gradient = std::array::from_fn(|_| take());
         let squares = take();
-        Self { hessian, gradient, squares, count: take() as u32 }
+        Self { hessian, gradient, squares, count: take() as u32, valid: take() as u32 }
     }
 }
 

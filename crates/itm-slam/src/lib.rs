@@ -1,1 +1,34 @@
-//! TBD
+//! Dense RGB-D SLAM: camera tracking, volumetric mapping and coloured meshes, on any GPU that wgpu knows.
+//!
+//! [`Slam`] is the core: push frames in, get poses out, ask for a mesh or a picture at any time. It is synchronous and
+//! starts no thread. [`Session`] runs it over a recording, with decoding ahead on another thread, as a stream of events.
+//!
+//! ```no_run
+//! use itm_slam::{Calibration, DepthConversion, Device, Frame, Intrinsics, Poses, Settings, Slam};
+//! # fn next_frame() -> Option<Frame> { None }
+//! # fn main() -> Result<(), itm_slam::Error> {
+//! let camera = Intrinsics::new(640, 480, 525.0, 525.0, 319.5, 239.5);
+//! let calibration = Calibration::registered(camera, DepthConversion::MILLIMETRES);
+//! let mut slam = Slam::new(&Device::open("auto")?, &calibration, &Settings::default(), Poses::Tracked)?;
+//! while let Some(frame) = next_frame() {
+//!     let result = slam.process(&frame)?;
+//!     println!("{:?}", result.world_from_camera);
+//! }
+//! let mesh = slam.mesh(&mut |_, _| ())?;
+//! # Ok(())
+//! # }
+//! ```
+
+mod error;
+mod mapper;
+mod session;
+mod slam;
+pub mod tracking;
+
+pub use error::Error;
+pub use session::{Event, Session, SessionOptions, Summary};
+pub use slam::{FrameReport, FrameResult, FrameStatus, Notice, Poses, Slam};
+
+pub use itm_core::*;
+pub use itm_gpu::render::Shading;
+pub use itm_gpu::{AdapterKind, AdapterReport, Capabilities, Device, FrameRecord};

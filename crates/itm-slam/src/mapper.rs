@@ -1,0 +1,181 @@
+//! The map's life: when pools grow, and which stages a frame's fusion takes.
+
+use std::collections::VecDeque;
+
+use itm_core::{Calibration, Intrinsics, Se3, Settings};
+use itm_gpu::allocate::Allocate;
+use itm_gpu::integrate::{Integrate, IntegrateOptions};
+use itm_gpu::normals::Normals;
+use itm_gpu::ranges::Ranges;
+use itm_gpu::raycast::Raycast;
+use itm_gpu::visible::Visible;
+use itm_gpu::{
+    BlockMap, Device, Error, FrameRecord, MapLayout, RaycastImage, RecordReader, Recorder, StageTimes, View,
+};
+
+/// A frame's record is consumed at this many frames later, whenever it arrived, so that growth happens at the same frame
+/// in every run.
+const RECORD_DELAY: usize = 2;
+
+/// The map and the stages that fill and show it.
+pub(crate) struct Mapper {
+    device: Device,
+    calibration: Calibration,
+    settings: Settings,
+    pub(crate) map: BlockMap,
+    allocate: Allocate,
+    visible: Visible,
+    integrate: Integrate,
+    ranges: Ranges,
+    raycast: Raycast,
+    normals: Normals,
+    waiting: VecDeque<Waiting>,
+    /// Largest number of blocks that one frame asked for lately; decays.
+    demand: u32,
+    /// Whether nothing has been fused yet.
+    empty: bool,
+}
+
+struct Waiting {
+    frame: u64,
+    record: RecordReader,
+    times: Vec<StageTimes>,
+}
+
+/// What became known of a frame `RECORD_DELAY` frames later.
+pub(crate) struct Late {
+    pub(crate) frame: u64,
+    pub(crate) record: FrameRecord,
+    pub(crate) stage_ms: Vec<(&'static str, f64)>,
+}
+
+impl Mapper {
+    pub(crate) fn new(device: &Device, calibration: &Calibration, settings: &Settings) -> Result<Self, Error> {
+        let layout = MapLayout {
+            voxel_size_m: settings.map.voxel_size_m,
+            truncation_m: settings.map.truncation_m,
+            colour: settings.map.colour && settings.view.colour,
+        };
+        let limit = settings.map.max_blocks;
+        let initial = if limit == 0 { settings.map.initial_blocks } else { settings.map.initial_blocks.min(limit) };
+        Ok(Self {
+            device: device.clone(),
+            calibration: *calibration,
+            settings: settings.clone(),
+            map: BlockMap::new(device, layout, initial)?,
+            allocate: Allocate::new(device),
+            visible: Visible::new(device),
+            integrate: Integrate::new(device),
+            ranges: Ranges::new(device),
+            raycast: Raycast::new(device),
+            normals: Normals::new(device),
+            waiting: VecDeque::new(),
+            demand: 0,
+            empty: true,
+        })
+    }
+
+    /// Takes over what an earlier frame's record says. Called once a frame, before anything is allocated.
+    pub(crate) fn consume(&mut self, frame: u64) -> Result<Option<Late>, Error> {
+        let due = self.waiting.front().is_some_and(|w| w.frame + RECORD_DELAY as u64 <= frame);
+        let Some(waiting) = due.then(|| self.waiting.pop_front()).flatten() else { return Ok(None) };
+        self.take(waiting).map(Some)
+    }
+
+    /// Everything that has not been consumed yet, at the end of a run.
+    pub(crate) fn drain(&mut self) -> Result<Vec<Late>, Error> {
+        let waiting = std::mem::take(&mut self.waiting);
+        waiting.into_iter().map(|w| self.take(w)).collect()
+    }
+
+    fn take(&mut self, waiting: Waiting) -> Result<Late, Error> {
+        let record = waiting.record.read(&self.device)?;
+        let mut stage_ms = Vec::new();
+        for times in waiting.times {
+            stage_ms.extend(times.read(&self.device)?);
+        }
+        self.make_room(&record)?;
+        Ok(Late { frame: waiting.frame, record, stage_ms })
+    }
+
+    /// Grows the pools so that the frames until the next record find room, as far as limits allow.
+    fn make_room(&mut self, record: &FrameRecord) -> Result<(), Error> {
+        self.demand = record.requested.max(self.demand - self.demand / 8);
+        let used = record.blocks - record.free_blocks;
+        // Requests of the frames since, of this one and of the next, with as much again to spare.
+        let needed = used + record.pending + self.demand.saturating_mul(2 * (RECORD_DELAY as u32 + 1));
+        if needed > self.map.capacity() {
+            let limit = match self.settings.map.max_blocks {
+                0 => self.map.max_capacity(),
+                limit => limit.min(self.map.max_capacity()),
+            };
+            let wanted = needed.max(self.map.capacity() + self.map.capacity() / 4).min(limit);
+            if wanted > self.map.capacity() {
+                tracing::debug!(from = self.map.capacity(), to = wanted, "the block pools grow");
+                self.map.grow(wanted)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Fuses a view into the map, and casts the map into `model` for the next frame's tracking. `times` are those of the
+    /// frame's earlier stages.
+    pub(crate) fn fuse(
+        &mut self,
+        frame: u64,
+        view: &View,
+        world_from_camera: &Se3,
+        model: &RaycastImage,
+        mut times: Vec<StageTimes>,
+    ) -> Result<(), Error> {
+        let camera = self.calibration.depth;
+        let [near_m, far_m] = [self.settings.view.min_depth_m, self.settings.view.max_depth_m];
+        let truncation_m = self.settings.map.truncation_m;
+        self.map.lay_grid(&camera, world_from_camera, far_m, truncation_m)?;
+        if self.empty {
+            // The first frame asks for more blocks than any other. Nothing waits for it yet, so room is made at once.
+            self.empty = false;
+            let mut recorder = Recorder::new(&self.device);
+            self.allocate.record(&mut recorder, &self.map, view, world_from_camera);
+            let _untimed = recorder.submit();
+            let record = self.map.read_record()?;
+            self.make_room(&record)?;
+        }
+        let mut recorder = Recorder::timed(&self.device);
+        self.allocate.record(&mut recorder, &self.map, view, world_from_camera);
+        let (near, far) = (f32::max(near_m - truncation_m, 0.0), far_m + truncation_m);
+        self.visible.record(&mut recorder, &self.map, &camera, world_from_camera, near, far);
+        let options = IntegrateOptions {
+            max_weight: self.settings.map.max_weight,
+            stop_at_max_weight: self.settings.map.stop_at_max_weight,
+            colour_band: self.settings.map.colour_band,
+        };
+        self.integrate.record(&mut recorder, &self.map, view, &self.calibration, world_from_camera, &options);
+        self.ranges.record(&mut recorder, &self.map, model, world_from_camera);
+        self.raycast.record(&mut recorder, &self.map, model, world_from_camera, [near_m, far]);
+        self.normals.record(&mut recorder, model, world_from_camera);
+        let record = self.map.record_counters(&mut recorder);
+        times.push(recorder.submit());
+        self.waiting.push_back(Waiting { frame, record, times });
+        Ok(())
+    }
+
+    /// Casts the map as a camera sees it from a pose, up to a depth. The next frame's fusion is not affected.
+    pub(crate) fn cast(
+        &mut self,
+        camera: &Intrinsics,
+        world_from_camera: &Se3,
+        max_depth_m: f32,
+    ) -> Result<RaycastImage, Error> {
+        let image = RaycastImage::new(&self.device, *camera);
+        self.map.lay_grid(camera, world_from_camera, max_depth_m, 0.0)?;
+        let mut recorder = Recorder::new(&self.device);
+        self.allocate.fill_grid(&mut recorder, &self.map);
+        self.visible.record(&mut recorder, &self.map, camera, world_from_camera, 0.0, max_depth_m);
+        self.ranges.record(&mut recorder, &self.map, &image, world_from_camera);
+        self.raycast.record(&mut recorder, &self.map, &image, world_from_camera, [0.01, max_depth_m]);
+        self.normals.record(&mut recorder, &image, world_from_camera);
+        let _untimed = recorder.submit();
+        Ok(image)
+    }
+}

@@ -1,0 +1,333 @@
+//! The core: frames in, poses and a map out. Synchronous, without threads.
+
+use itm_core::StampedPose;
+use itm_core::{Calibration, ColourImage, Frame, Intrinsics, Mesh, OnFailure, Se3, Settings, Timestamp, Trajectory};
+use itm_gpu::icp::Icp;
+use itm_gpu::mesh::Extract;
+use itm_gpu::render::{Render, Shading};
+use itm_gpu::view::{ViewOptions, ViewStage};
+use itm_gpu::{Device, FrameRecord, RaycastImage, Recorder, View};
+
+use crate::Error;
+use crate::mapper::{Late, Mapper};
+use crate::tracking::{self, NormalEquations, Objective, Tracked, Verdict};
+
+/// Where poses come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Poses {
+    /// From tracking. The first frame's camera is the world's origin.
+    Tracked,
+    /// From the frames themselves.
+    Given,
+}
+
+/// What became of a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FrameStatus {
+    /// The map's first frame, or one fused at its given pose.
+    Placed,
+    /// Tracked.
+    Tracked,
+    /// Not tracked, for this reason.
+    Lost {
+        /// In words and numbers.
+        reason: String,
+    },
+    /// Poses are given, but this frame has none.
+    NoPose,
+}
+
+/// Something that a user should know.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Notice {
+    /// New blocks found no room, and wait for it.
+    Waiting {
+        /// How many.
+        blocks: u32,
+        /// Blocks that the map can hold.
+        capacity: u32,
+    },
+    /// New blocks found no room, and none to wait in either: parts of the scene are missing.
+    Dropped {
+        /// How many, since the start.
+        blocks: u32,
+    },
+}
+
+impl std::fmt::Display for Notice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Waiting { blocks, capacity } => {
+                write!(f, "the map is full at {capacity} blocks: {blocks} new ones wait for room")
+            }
+            Self::Dropped { blocks } => write!(f, "the map is full: {blocks} new blocks were dropped since the start"),
+        }
+    }
+}
+
+/// What became known of a frame two frames later: the map's counters after it, and what its stages took.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameReport {
+    /// The frame's index.
+    pub index: u64,
+    /// The map's counters right after it.
+    pub record: FrameRecord,
+    /// Milliseconds on the device of each stage, in the order of the pipeline; empty where the device has no clock.
+    pub stage_ms: Vec<(&'static str, f64)>,
+}
+
+/// What [`Slam::process`] found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameResult {
+    /// The frame's index.
+    pub index: u64,
+    /// The frame's time.
+    pub timestamp: Timestamp,
+    /// The depth camera's pose, where there is one.
+    pub world_from_camera: Option<Se3>,
+    /// What became of the frame.
+    pub status: FrameStatus,
+    /// What tracking found; `None` where it was not tried.
+    pub tracked: Option<Tracked>,
+    /// Whether the frame was fused into the map.
+    pub fused: bool,
+    /// Milliseconds that tracking took, waits included.
+    pub track_ms: f64,
+    /// What has become known of an earlier frame.
+    pub report: Option<FrameReport>,
+    /// What a user should know.
+    pub notices: Vec<Notice>,
+}
+
+/// Reconstruction from a stream of frames.
+pub struct Slam {
+    device: Device,
+    calibration: Calibration,
+    settings: Settings,
+    poses: Poses,
+    view_options: ViewOptions,
+    view_stage: ViewStage,
+    view: View,
+    icp: Icp,
+    mapper: Mapper,
+    render: Render,
+    extract: Extract,
+    /// The map as seen from the last fused pose.
+    model: RaycastImage,
+    world_from_model: Option<Se3>,
+    trajectory: Trajectory,
+    dropped: u32,
+}
+
+impl std::fmt::Debug for Slam {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Slam").field("poses", &self.trajectory.len()).finish_non_exhaustive()
+    }
+}
+
+impl Slam {
+    /// Prepares an empty map.
+    ///
+    /// # Errors
+    /// Where the settings or the calibration cannot be used, or the device has no room.
+    pub fn new(device: &Device, calibration: &Calibration, settings: &Settings, poses: Poses) -> Result<Self, Error> {
+        settings.validate()?;
+        calibration.validate()?;
+        let view_options = ViewOptions {
+            depth_range_m: [settings.view.min_depth_m, settings.view.max_depth_m],
+            bilateral_passes: settings.view.bilateral.passes,
+            levels: match poses {
+                Poses::Tracked => settings.tracker.icp.levels.len(),
+                Poses::Given => 1,
+            },
+            vertices: false,
+            intensity_levels: 0,
+        };
+        Ok(Self {
+            device: device.clone(),
+            calibration: *calibration,
+            settings: settings.clone(),
+            poses,
+            view_options,
+            view_stage: ViewStage::new(device),
+            view: View::new(device, calibration, &view_options),
+            icp: Icp::new(device),
+            mapper: Mapper::new(device, calibration, settings)?,
+            render: Render::new(device),
+            extract: Extract::new(device),
+            model: RaycastImage::new(device, calibration.depth),
+            world_from_model: None,
+            trajectory: Trajectory::default(),
+            dropped: 0,
+        })
+    }
+
+    /// The settings in force.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// The calibration in force.
+    pub fn calibration(&self) -> &Calibration {
+        &self.calibration
+    }
+
+    /// The poses so far: one for each frame that has one.
+    pub fn trajectory(&self) -> &Trajectory {
+        &self.trajectory
+    }
+
+    /// Blocks that the map can hold before its pools grow.
+    pub fn capacity(&self) -> u32 {
+        self.mapper.map.capacity()
+    }
+
+    /// Bytes of device memory that the map takes.
+    pub fn map_bytes(&self) -> u64 {
+        self.mapper.map.device_bytes()
+    }
+
+    /// Takes in a frame: view, track, allocate, integrate, raycast.
+    ///
+    /// # Errors
+    /// Where an image has another size than the calibration says, or the device fails. That a frame could not be tracked
+    /// is no error but a status.
+    pub fn process(&mut self, frame: &Frame) -> Result<FrameResult, Error> {
+        let _span = tracing::info_span!("frame", index = frame.index).entered();
+        let report = self.mapper.consume(frame.index)?;
+
+        let mut recorder = Recorder::timed(&self.device);
+        let colourless;
+        let frame_used = if self.settings.view.colour || frame.colour.is_none() {
+            frame
+        } else {
+            colourless = Frame { colour: None, ..frame.clone() };
+            &colourless
+        };
+        self.view_stage.record(&mut recorder, &mut self.view, frame_used, &self.view_options)?;
+        let view_times = recorder.submit();
+
+        let started = std::time::Instant::now();
+        let (status, tracked, pose) = self.locate(frame)?;
+        let track_ms = started.elapsed().as_secs_f64() * 1e3;
+
+        let fuse_at = match (&status, self.settings.tracker.on_failure) {
+            (FrameStatus::Lost { .. }, OnFailure::Ignore) => self.world_from_model,
+            _ => pose,
+        };
+        if let Some(world_from_camera) = fuse_at {
+            self.mapper.fuse(frame.index, &self.view, &world_from_camera, &self.model, vec![view_times])?;
+            self.world_from_model = Some(world_from_camera);
+            self.trajectory.push(StampedPose { timestamp: frame.timestamp, world_from_camera });
+        }
+        let report = report.map(|late| self.report(late));
+        let notices = report.as_ref().map_or_else(Vec::new, |r| self.notices(&r.record));
+        Ok(FrameResult {
+            index: frame.index,
+            timestamp: frame.timestamp,
+            world_from_camera: fuse_at,
+            status,
+            tracked,
+            fused: fuse_at.is_some(),
+            track_ms,
+            report,
+            notices,
+        })
+    }
+
+    /// Where the frame's camera is.
+    fn locate(&mut self, frame: &Frame) -> Result<(FrameStatus, Option<Tracked>, Option<Se3>), Error> {
+        if self.poses == Poses::Given {
+            let pose = frame.world_from_camera;
+            return Ok((if pose.is_some() { FrameStatus::Placed } else { FrameStatus::NoPose }, None, pose));
+        }
+        let Some(world_from_model) = self.world_from_model else {
+            return Ok((FrameStatus::Placed, None, Some(Se3::IDENTITY)));
+        };
+        let mut objective =
+            ModelObjective { icp: &mut self.icp, view: &self.view, model: &self.model, world_from_model };
+        let tracked = tracking::icp::track(&mut objective, &world_from_model, &self.settings.tracker.icp)?;
+        let (status, pose) = match &tracked.verdict {
+            Verdict::Good => (FrameStatus::Tracked, Some(tracked.world_from_camera)),
+            Verdict::Lost { reason } => (FrameStatus::Lost { reason: reason.clone() }, None),
+        };
+        Ok((status, Some(tracked), pose))
+    }
+
+    fn report(&self, late: Late) -> FrameReport {
+        FrameReport { index: late.frame, record: late.record, stage_ms: late.stage_ms }
+    }
+
+    fn notices(&mut self, record: &FrameRecord) -> Vec<Notice> {
+        let mut notices = Vec::new();
+        if record.pending > 0 {
+            notices.push(Notice::Waiting { blocks: record.pending, capacity: self.mapper.map.capacity() });
+        }
+        if record.dropped > self.dropped {
+            self.dropped = record.dropped;
+            notices.push(Notice::Dropped { blocks: record.dropped });
+        }
+        notices
+    }
+
+    /// The reports that are still due, when no more frames come.
+    ///
+    /// # Errors
+    /// Where the device fails.
+    pub fn finish(&mut self) -> Result<Vec<FrameReport>, Error> {
+        let late = self.mapper.drain()?;
+        Ok(late.into_iter().map(|l| self.report(l)).collect())
+    }
+
+    /// The surface of the whole map as a mesh (world frame, metres). `progress` is called with blocks done and blocks in
+    /// all.
+    ///
+    /// # Errors
+    /// Where the device fails.
+    pub fn mesh(&mut self, progress: &mut dyn FnMut(u32, u32)) -> Result<Mesh, Error> {
+        Ok(self.extract.run(&self.mapper.map, &itm_gpu::mesh::Options::default(), progress)?)
+    }
+
+    /// A picture of the map as a camera sees it from a pose, up to `max_depth_m`. Pixels that show nothing have alpha 0.
+    ///
+    /// # Errors
+    /// Where the view reaches over more blocks than the device can index, or the device fails.
+    pub fn render(
+        &mut self,
+        camera: &Intrinsics,
+        world_from_camera: &Se3,
+        max_depth_m: f32,
+        shading: Shading,
+    ) -> Result<ColourImage, Error> {
+        let image = self.mapper.cast(camera, world_from_camera, max_depth_m)?;
+        Ok(self.render.run(&self.mapper.map, &image, world_from_camera, shading)?)
+    }
+}
+
+/// The GPU's sums for a view against the model.
+struct ModelObjective<'a> {
+    icp: &'a mut Icp,
+    view: &'a View,
+    model: &'a RaycastImage,
+    world_from_model: Se3,
+}
+
+impl Objective for ModelObjective<'_> {
+    fn levels(&self) -> usize {
+        self.view.levels()
+    }
+
+    fn pivot(&self) -> glam::DVec3 {
+        // As the shader sees it: in single precision.
+        self.world_from_model.translation.as_vec3().as_dvec3()
+    }
+
+    fn evaluate(
+        &mut self,
+        world_from_camera: &Se3,
+        level: usize,
+        max_distance_m: f32,
+    ) -> Result<NormalEquations, itm_gpu::Error> {
+        self.icp.evaluate(self.view, level, world_from_camera, self.model, &self.world_from_model, max_distance_m)
+    }
+}
