@@ -28,25 +28,29 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         if params.page > 0u {
             row = signs[i];
         }
-        row |= sign_bits(block, vec3(-1, y, z));
-        for (var x = 0; x < 8; x++) {
-            row |= sign_bits(block, vec3(x, y, z));
-        }
-        row |= sign_bits(block, vec3(8, y, z));
+        let at = index_in_block(vec3(0, y, z));
+        let n = block * 27u + neighbour_index(vec3(0, y >> 3u, z >> 3u));
+        row |= sign_bits(neighbours[n - 1u], at + 7u, 1u);
+        row |= sign_bits(neighbours[n], at, 8u) << 1u;
+        row |= sign_bits(neighbours[n + 1u], at, 1u) << 9u;
         signs[i] = row;
     }
 }
 
-// A voxel's bits of its row; none where it lies in another page or nowhere.
-fn sign_bits(block: u32, voxel: vec3<i32>) -> u32 {
-    let source = neighbours[block * 27u + neighbour_index(voxel >> vec3(3u))];
+// The bits of `count` voxels of a block (index plus one) from the one at `at` on; none where it lies in another page or
+// nowhere.
+fn sign_bits(source: u32, at: u32, count: u32) -> u32 {
     if source == 0u || ((source - 1u) >> params.page_shift) != params.page {
         return 0u;
     }
-    let in_page = (source - 1u) & ((1u << params.page_shift) - 1u);
-    let word = voxels[in_page * BLOCK_VOXELS + index_in_block(voxel)];
-    // The upper half of the fixed-point numbers are the negative distances.
-    let negative = (word >> 15u) & 1u;
-    let seen = u32(unpack_weight(word) >= params.min_weight);
-    return (negative | (seen << 16u)) << u32(voxel.x + 1);
+    let first = ((source - 1u) & ((1u << params.page_shift) - 1u)) * BLOCK_VOXELS + at;
+    var bits = 0u;
+    for (var x = 0u; x < count; x++) {
+        let word = voxels[first + x];
+        // The upper half of the fixed-point numbers are the negative distances.
+        let negative = (word >> 15u) & 1u;
+        let seen = u32(unpack_weight(word) >= params.min_weight);
+        bits |= (negative | (seen << 16u)) << x;
+    }
+    return bits;
 }

@@ -21,7 +21,6 @@ pub(crate) mod counter {
     pub(crate) const REQUESTED: u32 = 3;
     pub(crate) const FRAGMENTS: u32 = 6;
     pub(crate) const TOMBSTONES: u32 = 8;
-    pub(crate) const SCRATCH: u32 = 9;
 }
 
 /// Words of the indirect dispatches' buffer.
@@ -239,7 +238,9 @@ impl BlockMap {
         replace(&mut self.fragment_counts, "fragment counts", new * 4, 0);
 
         let page_blocks = 1_u64 << self.page_shift;
-        for (label, pages) in [("distances", Some(&mut self.distances)), ("colours", self.layout.colour.then_some(&mut self.colours))] {
+        for (label, pages) in
+            [("distances", Some(&mut self.distances)), ("colours", self.layout.colour.then_some(&mut self.colours))]
+        {
             let Some(pages) = pages else { continue };
             let count = new.div_ceil(page_blocks) as usize;
             for page in 0..count {

@@ -148,9 +148,9 @@ impl Extract {
             .map(|first| Range { first, count: per_range.min(blocks - first) })
             .collect();
         for range in &counting {
-            self.record_counting(&work, *range);
+            self.submit_counting(&work, *range);
         }
-        let offsets = self.record_sums(&work, blocks)?;
+        let offsets = self.read_offsets(&work, blocks)?;
         // Half of the steps are done: every block is passed twice.
         let steps = blocks.saturating_mul(2);
         progress(blocks, steps);
@@ -202,7 +202,7 @@ impl Extract {
     }
 
     /// The first sweep: which edges of a range bear vertices, and how many triangles there are.
-    fn record_counting(&self, work: &Work<'_>, range: Range) {
+    fn submit_counting(&self, work: &Work<'_>, range: Range) {
         let mut recorder = Recorder::new(&self.device);
         self.record_signs(&mut recorder, work, range);
         let bindings = mesh::mark::Bindings {
@@ -242,8 +242,8 @@ impl Extract {
         }
     }
 
-    /// Turns counts into offsets, and reads them.
-    fn record_sums(&self, work: &Work<'_>, blocks: u32) -> Result<Offsets, Error> {
+    /// Turns counts into offsets, and reads them; waits for the first sweep.
+    fn read_offsets(&self, work: &Work<'_>, blocks: u32) -> Result<Offsets, Error> {
         let mut recorder = Recorder::new(&self.device);
         recorder.stage("mesh");
         let bindings = mesh::count::Bindings {
