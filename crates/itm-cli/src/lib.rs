@@ -1,1 +1,79 @@
-//! TBD
+//! The `itm` program as a library, so that other front ends can be the same program.
+//!
+//! Results go to standard output; progress, warnings and errors go to standard error.
+
+mod console;
+mod devices;
+mod eval;
+mod mesh_error;
+mod pictures;
+mod plot;
+mod report;
+mod run;
+mod synth;
+mod timings;
+
+use std::ffi::OsString;
+
+use clap::{Parser, Subcommand};
+
+/// Dense RGB-D SLAM: reconstruct a recording of a depth camera into a coloured mesh and a trajectory.
+#[derive(Parser)]
+#[command(name = "itm", version, max_term_width = 100, after_help = EXAMPLES)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+    /// Say more on standard error; the environment variable RUST_LOG says precisely what
+    #[arg(short, long, global = true)]
+    verbose: bool,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Run(run::Arguments),
+    Eval(eval::Arguments),
+    Synth(synth::Arguments),
+    Devices(devices::Arguments),
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  itm devices                         what can compute here
+  itm synth room                      make a recording with exact ground truth
+  itm run room                        reconstruct it into out/room
+  itm run rgbd_dataset_freiburg1_desk -o desk --set map.voxel_size_m=0.01
+  itm eval desk/trajectory.txt rgbd_dataset_freiburg1_desk/groundtruth.txt";
+
+/// Runs the program with its command line, the program's own name first, and returns the exit status: 0 when all went
+/// well, 1 after an error, 2 where the command line cannot be understood, 130 when Ctrl-C stopped it.
+pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let arguments = match Arguments::try_parse_from(arguments) {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            // Where nobody reads the help, there is nobody to tell.
+            let _unread = error.print();
+            return u8::try_from(error.exit_code()).unwrap_or(2);
+        }
+    };
+    console::start_logging(arguments.verbose);
+    let result = match &arguments.command {
+        Command::Run(arguments) => run::run(arguments),
+        Command::Eval(arguments) => eval::run(arguments),
+        Command::Synth(arguments) => synth::run(arguments),
+        Command::Devices(arguments) => devices::run(arguments),
+    };
+    result.unwrap_or_else(|error| {
+        console::error(&error);
+        1
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        super::Arguments::command().debug_assert();
+    }
+}

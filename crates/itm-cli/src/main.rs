@@ -1,2 +1,5 @@
 //! The `itm` program.
-fn main() {}
+
+fn main() -> std::process::ExitCode {
+    itm_cli::main(std::env::args_os()).into()
+}

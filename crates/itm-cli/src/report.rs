@@ -1,0 +1,390 @@
+//! `report.html`: a run on one page that needs no other file.
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD as BASE64;
+use glam::{DVec2, DVec3};
+use itm_core::{Se3, Trajectory, evaluation};
+use itm_io::recording::RecordingInfo;
+
+use crate::pictures::Picture;
+use crate::plot::{self, Curve, Layer, OverFrames};
+use crate::run::Summary;
+use crate::timings::{Row, STAGES, median};
+
+/// Messages that the page shows.
+const MOST_MESSAGES: usize = 200;
+
+/// What the page shows.
+pub(crate) struct Report<'a> {
+    pub(crate) summary: &'a Summary,
+    pub(crate) rows: &'a [Row],
+    pub(crate) trajectory: &'a Trajectory,
+    pub(crate) info: &'a RecordingInfo,
+    pub(crate) pictures: &'a [Picture],
+    /// The resolved settings as TOML.
+    pub(crate) settings: &'a str,
+}
+
+/// Writes the page.
+pub(crate) fn write(path: &Path, report: &Report<'_>) -> Result<()> {
+    std::fs::write(path, report.html()).with_context(|| format!("cannot write '{}'", path.display()))
+}
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('\'', "&#39;").replace('"', "&quot;")
+}
+
+fn section(title: &str, body: &str) -> String {
+    if body.is_empty() { String::new() } else { format!("<section><h2>{title}</h2>{body}</section>\n") }
+}
+
+fn legend<'a>(entries: impl IntoIterator<Item = (&'a str, &'a str)>) -> String {
+    let entry = |(class, name): (&str, &str)| format!("<span><i class='{class}'></i>{}</span>", escape(name));
+    format!("<div class='legend'>{}</div>", entries.into_iter().map(entry).collect::<String>())
+}
+
+/// With thin spaces between thousands.
+fn grouped(number: usize) -> String {
+    let digits = number.to_string();
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push('\u{202f}');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+impl Report<'_> {
+    fn html(&self) -> String {
+        let name = escape(&self.summary.recording);
+        let css = include_str!("report.css");
+        let mut page = format!(
+            "<!doctype html>\n<html lang='en'><head><meta charset='utf-8'>\
+             <meta name='viewport' content='width=device-width, initial-scale=1'><title>{name} · itm</title>\
+             <style>\n{css}</style></head>\n<body><main>\n<h1>{name}</h1>\n<p class='lead'>{}</p>\n",
+            self.lead()
+        );
+        page += &self.tiles();
+        page += &self.errors();
+        page += &section("Model", &self.model());
+        page += &section("Trajectory", &self.trajectory());
+        page += &section("Time for each frame", &self.timings());
+        page += &section("Run", &self.table());
+        page += &section("Messages", &self.messages());
+        let settings = escape(self.settings);
+        page += &format!("<section><details><summary>Settings</summary><pre>{settings}</pre></details></section>\n");
+        page + "</main></body></html>\n"
+    }
+
+    fn lead(&self) -> String {
+        let Summary { frames, frames_reached, format, device, poses, stopped, .. } = self.summary;
+        let what = if *poses == "given" { "fused at the recording's own poses" } else { "tracked and fused" };
+        let reached = if *stopped {
+            format!("stopped after {frames_reached} of {frames} frames")
+        } else {
+            format!("{} frames", grouped(*frames))
+        };
+        format!("{reached}, {what} · {format} · {} · itm {}", escape(device), env!("CARGO_PKG_VERSION"))
+    }
+
+    fn tiles(&self) -> String {
+        let s = self.summary;
+        let mut tiles = vec![(format!("{:.1} %", s.posed_share * 100.0), "of the frames have a pose".to_string())];
+        if let Some(e) = &s.evaluation {
+            tiles.push((format!("{:.1} mm", e.ate.rmse * 1e3), "trajectory error (ATE, rmse)".into()));
+            tiles.push((format!("{:.1} mm", e.rpe_translation.rmse * 1e3), "drift a frame (RPE, rmse)".into()));
+        }
+        if let Some(e) = &s.mesh_error {
+            tiles.push((format!("{:.1} mm", e.median_mm), "surface error, median".into()));
+        }
+        if let Some(ms) = s.median_frame_ms {
+            tiles.push((format!("{ms:.1} ms"), "median time of a frame".into()));
+        }
+        if let Some(mesh) = &s.mesh {
+            tiles.push((grouped(mesh.triangles), "triangles in mesh.ply".into()));
+        }
+        tiles.push((format!("{} MiB", s.map_bytes >> 20), "map on the device".into()));
+        let tile = |(value, what)| format!("<div class='tile'><b>{value}</b><span>{what}</span></div>");
+        format!("<div class='tiles'>{}</div>\n", tiles.into_iter().map(tile).collect::<String>())
+    }
+
+    fn errors(&self) -> String {
+        if self.summary.errors.is_empty() {
+            return String::new();
+        }
+        let items: String = self.summary.errors.iter().map(|e| format!("<li>{}</li>", escape(e))).collect();
+        format!("<section class='alert'><h2>Something went wrong</h2><ul>{items}</ul></section>\n")
+    }
+
+    fn model(&self) -> String {
+        if self.pictures.is_empty() {
+            return "<p class='note'>No frame has a pose, so there is nothing to show.</p>".into();
+        }
+        let figure = |picture: &Picture| {
+            let title = escape(&picture.title);
+            match &picture.png {
+                Ok(png) => {
+                    let data = BASE64.encode(png);
+                    format!(
+                        "<figure><img alt='{title}' src='data:image/png;base64,{data}'>\
+                         <figcaption>{title}</figcaption></figure>"
+                    )
+                }
+                Err(reason) => {
+                    format!("<figure><figcaption>{title}: not shown, {}</figcaption></figure>", escape(reason))
+                }
+            }
+        };
+        let figures: String = self.pictures.iter().map(figure).collect();
+        format!("<div class='pictures'>{figures}</div>")
+    }
+
+    /// From above and from the side, in the axes of the first camera.
+    fn trajectory(&self) -> String {
+        let poses = self.trajectory.poses();
+        let Some(first) = poses.first() else { return String::new() };
+        let first_from_world = first.world_from_camera.inverse();
+        // The image's up, where a camera's y axis may point either way.
+        let up = -self.info.calibration.depth.fy.signum();
+        let seen = |p: DVec3| {
+            let p = first_from_world.transform_point(p);
+            DVec3::new(p.x, up * p.y, p.z)
+        };
+        let estimate: Vec<DVec3> = poses.iter().map(|p| seen(p.world_from_camera.translation)).collect();
+        let (mut truth, mut errors) = (Vec::new(), Vec::new());
+        if let (Some(evaluation), Some(known)) = (&self.summary.evaluation, &self.info.ground_truth) {
+            let estimate_from_truth: Se3 = evaluation.truth_from_estimate.inverse();
+            let pairs = evaluation::associate(self.trajectory, known, evaluation::DEFAULT_TOLERANCE_NS);
+            for (estimated, true_one) in pairs {
+                let p = estimate_from_truth.transform_point(true_one.world_from_camera.translation);
+                truth.push(seen(p));
+                errors.push((estimated.timestamp, p.distance(estimated.world_from_camera.translation) * 1e3));
+            }
+        }
+        let view = |project: &dyn Fn(&DVec3) -> DVec2, names: [&str; 2], caption: &str| {
+            let curve = |name, class, points: &[DVec3], ends| {
+                let points = points.iter().map(project).collect();
+                Curve { name, class, points, ends }
+            };
+            let mut curves = Vec::new();
+            if !truth.is_empty() {
+                curves.push(curve("ground truth, aligned", "truth", &truth, false));
+            }
+            curves.push(curve("estimate", "estimate", &estimate, true));
+            let names_of_curves = legend(curves.iter().map(|c| (c.class, c.name)));
+            let svg = plot::plane(&curves, names, 500.0, 400.0);
+            format!("<figure>{names_of_curves}{svg}<figcaption>{caption}</figcaption></figure>")
+        };
+        let top = view(&|p| DVec2::new(p.x, p.z), ["right (m)", "forward (m)"], "From above");
+        let side = view(&|p| DVec2::new(p.z, p.y), ["forward (m)", "up (m)"], "From the side");
+        let note = "<p class='note'>Axes of the first camera; ○ start, ■ end.</p>";
+        format!("<div class='columns'>{top}{side}</div>{note}{}", self.position_error(&errors))
+    }
+
+    fn position_error(&self, errors: &[(itm_core::Timestamp, f64)]) -> String {
+        let Some(top) = errors.iter().map(|(_, e)| *e).max_by(f64::total_cmp) else { return String::new() };
+        let of_row = |row: &Row| {
+            let at = errors.binary_search_by_key(&row.timestamp?, |(timestamp, _)| *timestamp).ok()?;
+            Some(errors[at].1)
+        };
+        let values = self.rows.iter().map(of_row).collect();
+        let line = Layer { name: String::new(), class: "error".into(), values };
+        let bands = self.bands();
+        let svg = plot::over_frames(&OverFrames {
+            first: self.first_frame(),
+            stacked: &[],
+            lines: &[line],
+            bands: &bands,
+            name: "position error (mm)",
+            top: (top * 1.1).max(0.1),
+            height: 200.0,
+        });
+        let figure = format!("<figure style='margin:14px 0 0'>{svg}");
+        format!("{figure}<figcaption>Distance to the true position after alignment</figcaption></figure>")
+    }
+
+    fn first_frame(&self) -> u64 {
+        self.rows.first().map_or(0, |row| row.frame)
+    }
+
+    /// Runs of frames without a pose.
+    fn bands(&self) -> Vec<(&'static str, usize, usize)> {
+        let mut bands: Vec<(&'static str, usize, usize)> = Vec::new();
+        for (i, row) in self.rows.iter().enumerate() {
+            let class = match row.status {
+                "lost" => "lost",
+                "skipped" | "no-pose" => "skipped",
+                _ => continue,
+            };
+            match bands.last_mut() {
+                Some((last, start, length)) if *last == class && *start + *length == i => *length += 1,
+                _ => bands.push((class, i, 1)),
+            }
+        }
+        bands
+    }
+
+    fn timings(&self) -> String {
+        let totals: Vec<f64> = self.rows.iter().filter_map(|row| row.total_ms).collect();
+        if totals.is_empty() {
+            return String::new();
+        }
+        let stage = |(i, name): (usize, &&str)| Layer {
+            name: name.to_string(),
+            class: format!("s{i}"),
+            values: self.rows.iter().map(|row| row.stage_ms[i]).collect(),
+        };
+        let stacked: Vec<Layer> = STAGES.iter().enumerate().map(stage).collect();
+        let stacked: Vec<Layer> = stacked.into_iter().filter(|l| l.values.iter().any(Option::is_some)).collect();
+        let total = Layer {
+            name: "whole frame".into(),
+            class: "total".into(),
+            values: self.rows.iter().map(|row| row.total_ms).collect(),
+        };
+        // A few slow frames, as the first one, would press all others to the ground.
+        let sum = |row: &Row| row.stage_ms.iter().flatten().sum::<f64>().max(row.total_ms.unwrap_or(0.0));
+        let mut heights: Vec<f64> = self.rows.iter().map(sum).collect();
+        heights.sort_unstable_by(f64::total_cmp);
+        let top = (heights[(heights.len() - 1) * 98 / 100] * 1.15).max(0.01);
+        let cut = heights.iter().filter(|h| **h > top).count();
+        let bands = self.bands();
+        let lines = [total];
+        let svg = plot::over_frames(&OverFrames {
+            first: self.first_frame(),
+            stacked: &stacked,
+            lines: &lines,
+            bands: &bands,
+            name: "time (ms)",
+            top,
+            height: 340.0,
+        });
+        let mut names: Vec<(&str, &str)> = stacked.iter().map(|l| (l.class.as_str(), l.name.as_str())).collect();
+        names.push(("total thin", "whole frame"));
+        for (class, name) in [("lost", "lost"), ("skipped", "skipped or without a pose")] {
+            if bands.iter().any(|band| band.0 == class) {
+                names.push((class, name));
+            }
+        }
+        let mut note = "Stages as measured on the device, tracking and the whole frame on the host.".to_string();
+        if stacked.len() < 2 {
+            note = "This device has no clock, so that its stages are not timed.".into();
+        }
+        if cut > 0 {
+            let largest = heights.last().copied().unwrap_or(0.0);
+            let are = if cut == 1 { "frame goes" } else { "frames go" };
+            note += &format!(" {cut} {are} beyond the plot, up to {largest:.0} ms.");
+        }
+        format!("{}{svg}<p class='note'>{note}</p>{}", legend(names), self.stage_table())
+    }
+
+    fn stage_table(&self) -> String {
+        let row = |name: &str, values: Vec<f64>| {
+            let (Some(middle), Some(largest)) = (median(values.clone()), values.iter().copied().max_by(f64::total_cmp))
+            else {
+                return String::new();
+            };
+            let mean = values.iter().sum::<f64>() / values.len() as f64;
+            let cells: String =
+                [middle, mean, largest].iter().map(|v| format!("<td class='number'>{v:.2}</td>")).collect();
+            format!("<tr><th>{name}</th>{cells}<td class='number'>{}</td></tr>", values.len())
+        };
+        let stages = STAGES.iter().enumerate();
+        let mut rows: String =
+            stages.map(|(i, name)| row(name, self.rows.iter().filter_map(|r| r.stage_ms[i]).collect())).collect();
+        rows += &row("whole frame", self.rows.iter().filter_map(|r| r.total_ms).collect());
+        let head = ["median (ms)", "mean (ms)", "largest (ms)", "frames"];
+        let head: String = head.iter().map(|h| format!("<th style='text-align:right'>{h}</th>")).collect();
+        format!("<table><tr><th>stage</th>{head}</tr>{rows}</table>")
+    }
+
+    fn table(&self) -> String {
+        let s = self.summary;
+        let c = &self.info.calibration;
+        let camera = |i: &itm_core::Intrinsics| {
+            format!("{}×{}, f {:.2} {:.2}, c {:.2} {:.2} px", i.width, i.height, i.fx, i.fy, i.cx, i.cy)
+        };
+        let mut rows = vec![
+            ("recording", format!("{} ({})", s.recording, s.format)),
+            ("calibration", s.calibration.clone()),
+            ("depth camera", camera(&c.depth)),
+        ];
+        if self.info.has_colour {
+            rows.push(("colour camera", camera(&c.colour)));
+        }
+        rows.push(("device", s.device.clone()));
+        let (reached, share) = (grouped(s.frames_reached), s.posed_share * 100.0);
+        let posed = format!("{} of {reached} with a pose ({share:.1} %)", grouped(s.posed));
+        rows.push(("frames", format!("{posed}, {} lost, {} skipped", s.lost, s.skipped)));
+        if self.info.depth_without_colour > 0 {
+            let left_out = format!("{} depth images without a colour image", self.info.depth_without_colour);
+            rows.push(("left out", left_out));
+        }
+        let rate = format!("{:.1} s, {:.1} frames/s", s.seconds, s.frames_per_second);
+        rows.push(("time", rate));
+        if let Some(e) = &s.evaluation {
+            let ate = format!(
+                "rmse {:.2} mm, median {:.2} mm, largest {:.2} mm; {} poses, path of {:.2} m",
+                e.ate.rmse * 1e3,
+                e.ate.median * 1e3,
+                e.ate.max * 1e3,
+                e.pairs,
+                e.path_length_m
+            );
+            rows.push(("trajectory error", ate));
+            let (mm, degrees) = (e.rpe_translation.rmse * 1e3, e.rpe_rotation.rmse.to_degrees());
+            rows.push(("relative error", format!("rmse {mm:.2} mm and {degrees:.3}° from frame to frame")));
+        }
+        if let Some(e) = &s.mesh_error {
+            let error = format!(
+                "median {:.2} mm, 99th percentile {:.2} mm, {:.1} % within a voxel; {} vertices",
+                e.median_mm,
+                e.percentile_99_mm,
+                e.within_voxel * 100.0,
+                grouped(e.vertices)
+            );
+            rows.push(("surface error", error));
+        }
+        if let Some(blocks) = s.blocks {
+            rows.push(("map", format!("{} blocks, {} MiB on the device", grouped(blocks as usize), s.map_bytes >> 20)));
+        }
+        if let Some(mesh) = &s.mesh {
+            let (vertices, triangles) = (grouped(mesh.vertices), grouped(mesh.triangles));
+            rows.push(("mesh", format!("{vertices} vertices, {triangles} triangles, made in {:.1} s", mesh.seconds)));
+        }
+        let row = |(name, value): (&str, String)| format!("<tr><th>{name}</th><td>{}</td></tr>", escape(&value));
+        format!("<table>{}</table>", rows.into_iter().map(row).collect::<String>())
+    }
+
+    fn messages(&self) -> String {
+        let messages = &self.summary.messages;
+        if messages.is_empty() {
+            return String::new();
+        }
+        let row = |m: &crate::run::Message| format!("<tr><th>frame {}</th><td>{}</td></tr>", m.frame, escape(&m.text));
+        let rows: String = messages.iter().take(MOST_MESSAGES).map(row).collect();
+        let more = messages.len().saturating_sub(MOST_MESSAGES);
+        let note = if more > 0 { format!("<p class='note'>and {more} more</p>") } else { String::new() };
+        format!("<table>{rows}</table>{note}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_cannot_break_the_page() {
+        assert_eq!(escape("<b>'a' & \"b\"</b>"), "&lt;b&gt;&#39;a&#39; &amp; &quot;b&quot;&lt;/b&gt;");
+    }
+
+    #[test]
+    fn thousands_are_grouped() {
+        assert_eq!(grouped(12), "12");
+        assert_eq!(grouped(1_234_567), "1\u{202f}234\u{202f}567");
+    }
+}

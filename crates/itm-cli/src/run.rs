@@ -1,0 +1,606 @@
+//! `itm run`.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fs::{self, File, OpenOptions};
+use std::io::{BufWriter, ErrorKind};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+use anyhow::{Context as _, Error, Result, anyhow, bail};
+use clap::{Args, ValueEnum};
+use indicatif::ProgressBar;
+use itm_core::evaluation::{self, Evaluation};
+use itm_core::{Mesh, Se3, Settings, StampedPose};
+use itm_io::mesh::MeshOptions;
+use itm_io::recording::{self, Format, RecordingInfo};
+use itm_io::trajectory::{TimeColumn, TumWriter};
+use itm_slam::{Device, Event, FrameResult, FrameStatus, Notice, Poses, Session, SessionOptions};
+use serde::Serialize;
+
+use crate::mesh_error::{self, MeshError};
+use crate::timings::{self, Row, STAGES, Timings};
+use crate::{console, pictures, report};
+
+/// Reconstruct a recording: trajectory, coloured mesh, timings and a report
+///
+/// The format is recognised from the folder: TUM RGB-D, ICL-NUIM, 7-Scenes, or images with a calibration file. OUT then
+/// holds trajectory.txt (TUM format, camera to world), mesh.ply, settings.toml, timings.csv and report.html, and
+/// metrics.json where the recording has ground truth. Results of an earlier run there are replaced.
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  itm run rgbd_dataset_freiburg1_desk
+  itm run redkitchen/seq-01 -o kitchen --frames 0..300 --set map.voxel_size_m=0.01
+  itm run scan --depth-pattern 'depth/%06d.png' --calibration calib.txt
+  itm run room --poses given --json
+
+Ctrl-C ends the run after the current frame; mesh and report are written all the same.
+Exit status: 0 complete, 130 stopped by Ctrl-C, 1 error, 2 bad command line.")]
+pub(crate) struct Arguments {
+    /// Folder of the recording
+    recording: PathBuf,
+    /// Folder for the results, made where it is missing [default: out/NAME, with the recording's name]
+    #[arg(short, long)]
+    out: Option<PathBuf>,
+    /// Only these frames, by their place in the recording from 0; B is not included (also A.. and ..B)
+    #[arg(long, value_name = "A..B", value_parser = FrameRange::from_str)]
+    frames: Option<FrameRange>,
+    /// Settings as TOML; every run writes its own to OUT/settings.toml
+    #[arg(long, value_name = "FILE")]
+    settings: Option<PathBuf>,
+    /// A single setting, which wins over the file: --set map.voxel_size_m=0.01 (may be repeated)
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    overrides: Vec<String>,
+    /// Where camera poses come from
+    #[arg(long, value_enum, default_value_t = PosesArgument::Tracked)]
+    poses: PosesArgument,
+    /// Adapter: auto, a number from 'itm devices' or a part of its name; wins over the settings
+    #[arg(long)]
+    device: Option<String>,
+    /// Calibration file, in place of the recording's own
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+    /// Format of the recording, where it is not recognised: tum, icl-nuim, 7-scenes or images
+    #[arg(long, value_parser = Format::from_str)]
+    format: Option<Format>,
+    /// Depth images within the folder, with a number or *: 'depth/%06d.png'
+    #[arg(long, value_name = "PATTERN")]
+    depth_pattern: Option<String>,
+    /// Colour images, likewise
+    #[arg(long, value_name = "PATTERN", alias = "color-pattern")]
+    colour_pattern: Option<String>,
+    /// Write no mesh
+    #[arg(long)]
+    no_mesh: bool,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+    /// Show no progress, and print no summary but with --json
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum PosesArgument {
+    /// From tracking
+    Tracked,
+    /// The recording's own
+    Given,
+}
+
+/// Frames as asked for: `A..B`, `A..` or `..B`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct FrameRange {
+    start: usize,
+    end: Option<usize>,
+}
+
+impl FromStr for FrameRange {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = || format!("expected A..B, A.. or ..B with frame numbers from 0, not '{text}'");
+        let (start, end) = text.split_once("..").ok_or_else(expected)?;
+        let number = |text: &str| text.trim().parse::<usize>().map_err(|_| expected());
+        let start = if start.trim().is_empty() { 0 } else { number(start)? };
+        let end = if end.trim().is_empty() { None } else { Some(number(end)?) };
+        match end {
+            Some(end) if end <= start => Err(format!("'{text}' holds no frame: the last number is not included")),
+            _ => Ok(Self { start, end }),
+        }
+    }
+}
+
+impl FrameRange {
+    fn within(self, info: &RecordingInfo) -> Result<Range<usize>> {
+        let range = self.start..self.end.unwrap_or(info.frames);
+        if range.is_empty() || range.end > info.frames {
+            let shown = self.end.map_or_else(String::new, |end| end.to_string());
+            let (start, last) = (self.start, info.frames.saturating_sub(1));
+            bail!("--frames {start}..{shown}: the recording '{}' has frames 0 to {last}", info.name);
+        }
+        Ok(range)
+    }
+}
+
+/// A run in words and numbers: what `--json` prints, and what the report is made from.
+#[derive(Serialize)]
+pub(crate) struct Summary {
+    pub(crate) recording: String,
+    pub(crate) format: String,
+    pub(crate) calibration: String,
+    pub(crate) device: String,
+    /// `tracked` or `given`.
+    pub(crate) poses: &'static str,
+    /// Frames that were asked for.
+    pub(crate) frames: usize,
+    /// Frames that were reached before the end of the run.
+    pub(crate) frames_reached: usize,
+    pub(crate) posed: usize,
+    /// Share of the frames reached that have a pose.
+    pub(crate) posed_share: f64,
+    pub(crate) lost: usize,
+    pub(crate) skipped: usize,
+    pub(crate) stopped: bool,
+    /// What ended the run early, or could not be written.
+    pub(crate) errors: Vec<String>,
+    pub(crate) seconds: f64,
+    pub(crate) frames_per_second: f64,
+    pub(crate) median_frame_ms: Option<f64>,
+    /// By stage, of the frames that went through it.
+    pub(crate) median_stage_ms: BTreeMap<&'static str, f64>,
+    /// Blocks in use at the end.
+    pub(crate) blocks: Option<u32>,
+    /// Device memory of the map.
+    pub(crate) map_bytes: u64,
+    pub(crate) mesh: Option<MeshSummary>,
+    pub(crate) evaluation: Option<Evaluation>,
+    pub(crate) mesh_error: Option<MeshError>,
+    /// What a user should know, frame by frame.
+    pub(crate) messages: Vec<Message>,
+    pub(crate) out: PathBuf,
+}
+
+#[derive(Serialize)]
+pub(crate) struct MeshSummary {
+    pub(crate) vertices: usize,
+    pub(crate) triangles: usize,
+    pub(crate) seconds: f64,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub(crate) struct Message {
+    pub(crate) frame: u64,
+    pub(crate) text: String,
+}
+
+/// What is written where the truth is known.
+#[derive(Serialize)]
+struct Metrics<'a> {
+    frames: usize,
+    posed: usize,
+    posed_share: f64,
+    evaluation: &'a Option<Evaluation>,
+    mesh_error: &'a Option<MeshError>,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
+    // Whatever can be wrong with what was given is found before a device is opened.
+    let settings = arguments.resolve_settings()?;
+    let options = recording::OpenOptions {
+        format: arguments.format,
+        calibration: arguments.calibration.clone(),
+        depth_pattern: arguments.depth_pattern.clone(),
+        colour_pattern: arguments.colour_pattern.clone(),
+    };
+    let recording = recording::open(&arguments.recording, &options)?;
+    let info = recording.info().clone();
+    let poses = match arguments.poses {
+        PosesArgument::Tracked => Poses::Tracked,
+        PosesArgument::Given => Poses::Given,
+    };
+    if poses == Poses::Given && info.ground_truth.is_none() {
+        return Err(itm_slam::Error::NoPoses { recording: info.name }.into());
+    }
+    let frames = arguments.frames.map(|range| range.within(&info)).transpose()?;
+    let out = arguments.out.clone().unwrap_or_else(|| Path::new("out").join(&info.name));
+    prepare_folder(&out, &arguments.recording)?;
+
+    let device = Device::open(&settings.device.adapter)?;
+    let mut session = Session::new(&device, recording, &SessionOptions { settings, poses, frames: frames.clone() })?;
+    let mut log = Log::create(&out, &info, session.slam().settings())?;
+    let stop = console::StopOnCtrlC::new(session.stop_switch());
+    let bar = console::bar(frames.map_or(info.frames, |f| f.len()) as u64, "frames", arguments.quiet);
+    let ended = log.follow(&mut session, &bar)?;
+    bar.finish_and_clear();
+
+    let mut errors: Vec<Error> = log.failure.take().into_iter().chain(ended.error.clone().map(Error::msg)).collect();
+    let mut keep = |result: Result<()>| errors.extend(result.err());
+    keep(log.timings.finish(&ended.reports).context("cannot write timings.csv"));
+    let mut mesh = None;
+    if !arguments.no_mesh {
+        keep(write_mesh(&mut session, &out, arguments.quiet).map(|written| mesh = Some(written)));
+    }
+    drop(stop);
+
+    let evaluation = match (&info.ground_truth, poses) {
+        (Some(truth), Poses::Tracked) => {
+            evaluation::evaluate(session.slam().trajectory(), truth, evaluation::DEFAULT_TOLERANCE_NS)
+                .map_err(|error| log.say(log.last_frame(), format!("no ATE: {error}")))
+                .ok()
+        }
+        _ => None,
+    };
+    let truth_from_mesh = match (&info.ground_truth, poses) {
+        (_, Poses::Given) => Some(Se3::IDENTITY),
+        (Some(truth), Poses::Tracked) => mesh_error::align_poses(session.slam().trajectory(), truth),
+        (None, Poses::Tracked) => None,
+    };
+    let scene = mesh_error::scene_of(&arguments.recording);
+    let mesh_error = mesh.as_ref().zip(truth_from_mesh).zip(scene).and_then(|(((mesh, _), truth_from_mesh), scene)| {
+        MeshError::measure(mesh, &scene, &truth_from_mesh, session.slam().settings().map.voxel_size_m)
+    });
+
+    let rows = log.timings.rows();
+    let median_of = |value: &dyn Fn(&Row) -> Option<f64>| timings::median(rows.iter().filter_map(value));
+    let median_stage = |(i, stage)| Some((stage, median_of(&|row: &Row| row.stage_ms[i])?));
+    let mut summary = Summary {
+        recording: info.name.clone(),
+        format: info.format.to_string(),
+        calibration: info.calibration_source.clone(),
+        device: device.name().to_string(),
+        poses: if poses == Poses::Tracked { "tracked" } else { "given" },
+        frames: ended.frames,
+        frames_reached: rows.len(),
+        posed: ended.posed,
+        posed_share: ended.posed as f64 / rows.len().max(1) as f64,
+        lost: ended.lost,
+        skipped: ended.skipped,
+        stopped: ended.stopped,
+        errors: errors.iter().map(|e| format!("{e:#}")).collect(),
+        seconds: ended.seconds,
+        frames_per_second: rows.len() as f64 / ended.seconds.max(1e-9),
+        median_frame_ms: median_of(&|row| row.total_ms),
+        median_stage_ms: STAGES.into_iter().enumerate().filter_map(median_stage).collect(),
+        blocks: rows.iter().rev().find_map(|row| row.blocks),
+        map_bytes: session.slam().map_bytes(),
+        mesh: mesh.as_ref().map(|(mesh, seconds)| MeshSummary {
+            vertices: mesh.positions.len(),
+            triangles: mesh.triangles.len(),
+            seconds: *seconds,
+        }),
+        evaluation,
+        mesh_error,
+        messages: log.messages.clone(),
+        out: out.clone(),
+    };
+    let mut late = |result: Result<()>| {
+        if let Err(error) = result {
+            summary.errors.push(format!("{error:#}"));
+        }
+    };
+    if info.ground_truth.is_some() {
+        late(write_metrics(&out, &summary_metrics(&log, ended.posed, &evaluation, &mesh_error)));
+    }
+    let pictures = pictures::of(session.slam(), mesh.as_ref().map(|(mesh, _)| mesh));
+    let trajectory = session.slam().trajectory().clone();
+    let page = report::Report {
+        summary: &summary,
+        rows,
+        trajectory: &trajectory,
+        info: &info,
+        pictures: &pictures,
+        settings: &session.slam().settings().to_toml(),
+    };
+    let written = report::write(&out.join("report.html"), &page);
+    if let Err(error) = written {
+        summary.errors.push(format!("{error:#}"));
+    }
+
+    if arguments.json {
+        console::print_json(&summary)?;
+    } else if !arguments.quiet {
+        console::print(&summary)?;
+    }
+    for error in &summary.errors {
+        console::error(&anyhow!("{error}"));
+    }
+    Ok(match (summary.errors.is_empty(), summary.stopped) {
+        (false, _) => 1,
+        (true, true) => console::INTERRUPTED,
+        (true, false) => 0,
+    })
+}
+
+fn summary_metrics<'a>(
+    log: &Log,
+    posed: usize,
+    evaluation: &'a Option<Evaluation>,
+    mesh_error: &'a Option<MeshError>,
+) -> Metrics<'a> {
+    let frames = log.timings.rows().len();
+    Metrics { frames, posed, posed_share: posed as f64 / frames.max(1) as f64, evaluation, mesh_error }
+}
+
+impl Arguments {
+    fn resolve_settings(&self) -> Result<Settings> {
+        let file = match &self.settings {
+            None => None,
+            Some(path) => {
+                let name = path.display().to_string();
+                let text = fs::read_to_string(path).with_context(|| format!("cannot read the settings '{name}'"))?;
+                Some((name, text))
+            }
+        };
+        let file = file.as_ref().map(|(name, text)| (name.as_str(), text.as_str()));
+        let mut settings = Settings::resolve(file, &self.overrides)?;
+        if let Some(device) = &self.device {
+            settings.device.adapter.clone_from(device);
+        }
+        Ok(settings)
+    }
+}
+
+/// Makes the folder, finds out whether it can be written, and removes what an earlier run wrote at its end, so that
+/// results of two runs are never mixed.
+fn prepare_folder(out: &Path, recording: &Path) -> Result<()> {
+    let shown = out.display();
+    if out.exists() && !out.is_dir() {
+        bail!("the output '{shown}' is a file; name a folder");
+    }
+    fs::create_dir_all(out).with_context(|| format!("cannot make the output folder '{shown}'"))?;
+    if out.canonicalize().ok().is_some_and(|out| recording.canonicalize().is_ok_and(|recording| recording == out)) {
+        bail!("the output '{shown}' is the recording itself; name another folder");
+    }
+    let probe = out.join(format!(".itm-{}.part", std::process::id()));
+    let written = OpenOptions::new().write(true).create_new(true).open(&probe);
+    written.with_context(|| format!("cannot write to the output folder '{shown}'"))?;
+    fs::remove_file(&probe).with_context(|| format!("cannot remove '{}'", probe.display()))?;
+    for name in ["mesh.ply", "report.html", "metrics.json"] {
+        let path = out.join(name);
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                return Err(error).with_context(|| format!("cannot replace '{}'", path.display()));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+fn write_metrics(out: &Path, metrics: &Metrics<'_>) -> Result<()> {
+    let path = out.join("metrics.json");
+    fs::write(&path, serde_json::to_string_pretty(metrics)?)
+        .with_context(|| format!("cannot write '{}'", path.display()))
+}
+
+/// Extracts the mesh and writes it; returns it with the seconds that took.
+fn write_mesh(session: &mut Session, out: &Path, quiet: bool) -> Result<(Mesh, f64)> {
+    let started = Instant::now();
+    let bar = console::bar(0, "blocks meshed", quiet);
+    let mesh = session.mesh(&mut |done, all| {
+        bar.set_length(all.into());
+        bar.set_position(done.into());
+    });
+    bar.finish_and_clear();
+    let mesh = mesh.context("no mesh.ply")?;
+    itm_io::mesh::write(&out.join("mesh.ply"), &mesh, &MeshOptions::default())?;
+    Ok((mesh, started.elapsed().as_secs_f64()))
+}
+
+/// Follows a session's events: what they say goes into files, onto the progress bar and into messages.
+struct Log {
+    trajectory: TumWriter,
+    timings: Timings<BufWriter<File>>,
+    info: RecordingInfo,
+    messages: Vec<Message>,
+    /// Why results could not be written any more.
+    failure: Option<Error>,
+    lost: bool,
+    full: bool,
+    dropped: bool,
+    /// When the latest frames were done.
+    done: VecDeque<Instant>,
+    blocks: u32,
+}
+
+/// Frames that the frame rate shown is an average over.
+const RATE_OVER: usize = 30;
+
+impl Log {
+    /// Creates the files that grow with the run, and writes the settings.
+    fn create(out: &Path, info: &RecordingInfo, settings: &Settings) -> Result<Self> {
+        let at = |name: &str| out.join(name);
+        let failed = |path: &Path| format!("cannot write '{}'", path.display());
+        let path = at("settings.toml");
+        fs::write(&path, settings.to_toml()).with_context(|| failed(&path))?;
+        let time = if info.has_timestamps { TimeColumn::Seconds } else { TimeColumn::FrameNumber };
+        let trajectory = TumWriter::create(&at("trajectory.txt"), time)?;
+        let path = at("timings.csv");
+        let file = File::create(&path).with_context(|| failed(&path))?;
+        Ok(Self {
+            trajectory,
+            timings: Timings::new(BufWriter::new(file)).with_context(|| failed(&path))?,
+            info: info.clone(),
+            messages: Vec::new(),
+            failure: None,
+            lost: false,
+            full: false,
+            dropped: false,
+            done: VecDeque::new(),
+            blocks: 0,
+        })
+    }
+
+    /// Runs the session to its end. Where results cannot be written any more, it is stopped, and `failure` says why.
+    fn follow(&mut self, session: &mut Session, bar: &ProgressBar) -> Result<itm_slam::Summary> {
+        let stop = session.stop_switch();
+        while let Some(event) = session.next() {
+            let kept = match event {
+                Event::Frame { result, total_ms } => {
+                    let kept = self.frame(&result, total_ms);
+                    bar.set_message(self.state(&result, session.slam().capacity()));
+                    kept
+                }
+                Event::Skipped { index, reason } => {
+                    // The reason may name the frame already.
+                    let reason = reason.strip_prefix(&format!("frame {index}: ")).unwrap_or(&reason);
+                    self.say(index as u64, format!("skipped: {reason}"));
+                    self.timings.skipped(index).context("cannot write timings.csv")
+                }
+                Event::Finished(summary) => return Ok(summary),
+            };
+            bar.inc(1);
+            if let Err(error) = kept
+                && self.failure.is_none()
+            {
+                self.failure = Some(error);
+                stop.store(true, Ordering::Relaxed);
+            }
+        }
+        bail!("the run ended without a summary")
+    }
+
+    fn frame(&mut self, result: &FrameResult, total_ms: f64) -> Result<()> {
+        if let Some(world_from_camera) = result.world_from_camera {
+            let pose = StampedPose { timestamp: result.timestamp, world_from_camera };
+            // Where there are no times, the number that the recording's own files and ground truth count by.
+            let number = self.info.image_number(result.timestamp).unwrap_or(result.index);
+            self.trajectory.write(number, &pose)?;
+        }
+        self.timings.frame(result, total_ms).context("cannot write timings.csv")?;
+        match (&result.status, self.lost) {
+            (FrameStatus::Lost { reason }, false) => {
+                self.lost = true;
+                self.say(result.index, format!("tracking lost: {reason}"));
+            }
+            (FrameStatus::Tracked, true) => {
+                self.lost = false;
+                self.say(result.index, "tracked again".into());
+            }
+            _ => {}
+        }
+        // A full map says so each frame; once is enough.
+        let mut full = false;
+        for notice in &result.notices {
+            let known = match notice {
+                Notice::Waiting { .. } => {
+                    full = true;
+                    self.full
+                }
+                Notice::Dropped { .. } => std::mem::replace(&mut self.dropped, true),
+            };
+            if !known {
+                self.say(result.index, notice.to_string());
+            }
+        }
+        if result.report.is_some() {
+            self.full = full;
+        }
+        Ok(())
+    }
+
+    fn say(&mut self, frame: u64, text: String) {
+        console::note(format_args!("frame {frame}: {text}"));
+        self.messages.push(Message { frame, text });
+    }
+
+    fn last_frame(&self) -> u64 {
+        self.timings.rows().last().map_or(0, |row| row.frame)
+    }
+
+    /// Frame rate, state of tracking and use of blocks, for the progress bar.
+    fn state(&mut self, result: &FrameResult, capacity: u32) -> String {
+        let now = Instant::now();
+        self.done.push_back(now);
+        if self.done.len() > RATE_OVER {
+            self.done.pop_front();
+        }
+        let seconds = self.done.front().map_or(0.0, |first| (now - *first).as_secs_f64());
+        let rate = (self.done.len() - 1) as f64 / seconds.max(1e-9);
+        if let Some(report) = &result.report {
+            self.blocks = report.record.blocks.saturating_sub(report.record.free_blocks);
+        }
+        let status = match &result.status {
+            FrameStatus::Placed => "placed",
+            FrameStatus::Tracked => "tracked",
+            FrameStatus::Lost { .. } => "LOST",
+            FrameStatus::NoPose => "no pose",
+        };
+        format!("· {rate:.1} frames/s · {status} · {} of {capacity} blocks", self.blocks)
+    }
+}
+
+impl std::fmt::Display for Summary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { frames, frames_reached, posed, lost, skipped, .. } = self;
+        let share = self.posed_share * 100.0;
+        if self.stopped {
+            writeln!(f, "stopped after {frames_reached} of {frames} frames")?;
+        }
+        write!(f, "frames with a pose: {posed} of {frames_reached} ({share:.1} %); {lost} lost, {skipped} skipped")?;
+        write!(f, "\ntime: {:.1} s, {:.1} frames/s", self.seconds, self.frames_per_second)?;
+        if let Some(ms) = self.median_frame_ms {
+            write!(f, ", median {ms:.1} ms a frame on {}", self.device)?;
+        }
+        if let Some(blocks) = self.blocks {
+            write!(f, "\nmap: {blocks} blocks, {} MiB on the device", self.map_bytes >> 20)?;
+        }
+        match &self.mesh {
+            Some(mesh) if mesh.triangles == 0 => write!(f, "\nmesh: empty, as nothing was fused")?,
+            Some(MeshSummary { vertices, triangles, seconds }) => {
+                write!(f, "\nmesh: {vertices} vertices, {triangles} triangles in {seconds:.1} s")?;
+            }
+            None => {}
+        }
+        if let Some(evaluation) = &self.evaluation {
+            let (ate, rpe) = (evaluation.ate.rmse * 1e3, evaluation.rpe_translation.rmse * 1e3);
+            let turn = evaluation.rpe_rotation.rmse.to_degrees();
+            write!(f, "\nATE: {ate:.2} mm rmse over {} poses ({share:.1} % of the frames have one)", evaluation.pairs)?;
+            write!(f, "\nRPE: {rpe:.2} mm, {turn:.3}° rmse a frame")?;
+        }
+        if let Some(MeshError { median_mm, percentile_99_mm, within_voxel, vertices }) = &self.mesh_error {
+            let within = within_voxel * 100.0;
+            write!(
+                f,
+                "\nmesh error: {median_mm:.2} mm median, {percentile_99_mm:.2} mm 99th percentile, {within:.1} % \
+                 within a voxel ({vertices} vertices)"
+            )?;
+        }
+        write!(f, "\nresults: {}", self.out.join("report.html").display())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_of_frames() {
+        let range = |start, end| Ok(FrameRange { start, end });
+        assert_eq!("2..5".parse(), range(2, Some(5)));
+        assert_eq!("2..".parse(), range(2, None));
+        assert_eq!("..5".parse(), range(0, Some(5)));
+        assert_eq!("..".parse(), range(0, None));
+        for bad in ["", "5", "5..5", "6..5", "-1..5", "a..b", "1..2..3", "1..=2", "0..0"] {
+            assert!(bad.parse::<FrameRange>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn results_of_an_earlier_run_are_removed_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("a/b");
+        prepare_folder(&out, folder.path()).unwrap();
+        for name in ["mesh.ply", "notes.txt", "trajectory.txt"] {
+            fs::write(out.join(name), "").unwrap();
+        }
+        prepare_folder(&out, folder.path()).unwrap();
+        assert!(!out.join("mesh.ply").exists() && out.join("notes.txt").exists());
+        let error = prepare_folder(folder.path(), folder.path()).unwrap_err().to_string();
+        assert!(error.contains("is the recording itself"), "{error}");
+    }
+}

@@ -1,0 +1,140 @@
+//! `itm synth`.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use anyhow::{Context as _, Result};
+use clap::{Args, ValueEnum};
+use itm_io::mesh::MeshOptions;
+use itm_synth::{DepthNoise, InertialNoise, Path, Quality, Sequence, Spec};
+use serde_json::json;
+
+use crate::{console, mesh_error};
+
+/// Edge of a cell of the exact mesh, in metres.
+const SURFACE_CELL_M: f32 = 0.02;
+
+/// Write a synthetic recording of a furnished room, with exact poses and surface
+///
+/// The folder is in the format of the TUM RGB-D benchmark, with an inertial sensor's readings, calibration.txt,
+/// surface.ply (the true surface) and synthetic_scene.txt, by which `itm run` knows the scene that it measures the
+/// reconstruction against.
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  itm synth room                                     60 frames along an arc, with a Kinect's noise
+  itm synth loop --path loop --quality fine          450 frames once around
+  itm synth small --size 320x240 --frames 30 --noise off")]
+pub(crate) struct Arguments {
+    /// Folder to write; made where it is missing, files of the same names are replaced
+    out: PathBuf,
+    /// How the camera moves: arc, loop, shake (too fast) or covered (a hand over the lens for a while)
+    #[arg(long, default_value = "arc", value_parser = Path::from_str)]
+    path: Path,
+    /// Number of frames, 30 a second [default: as many as the path's duration takes]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    frames: Option<u32>,
+    /// Seconds that the path takes, which sets the camera's speed [default: 2 (arc), 15 (loop), 4 (others)]
+    #[arg(long, value_name = "SECONDS")]
+    duration: Option<f64>,
+    /// Width and height of the images in pixels
+    #[arg(long, default_value = "640x480", value_parser = parse_size)]
+    size: (u32, u32),
+    /// Errors of the sensors
+    #[arg(long, value_enum, default_value_t = Noise::Kinect)]
+    noise: Noise,
+    /// Chooses the noise: the same seed gives the same recording, byte for byte
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Work that goes into colours
+    #[arg(long, value_enum, default_value_t = QualityArgument::Draft)]
+    quality: QualityArgument,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    /// Show no progress
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Noise {
+    /// A Kinect's depth and a phone's inertial sensor
+    Kinect,
+    /// Exact depth and inertial readings
+    Off,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum QualityArgument {
+    /// One ray a pixel, no shadows
+    Draft,
+    /// Four rays a pixel, shadows and darker corners; several times slower
+    Fine,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
+    let sequence = Sequence::new(arguments.spec())?;
+    let frames = sequence.spec().frames;
+    let bar = console::bar(frames.into(), "frames", arguments.quiet);
+    let written = itm_synth::write_recording(&arguments.out, &sequence, &|done| bar.set_position(done.into()))?;
+    bar.finish_and_clear();
+
+    let surface = written.folder.join("surface.ply");
+    let mesh = itm_synth::exact_mesh(sequence.scene(), SURFACE_CELL_M)?;
+    itm_io::mesh::write(&surface, &mesh, &MeshOptions::default())?;
+    mesh_error::mark_scene(&written.folder).context("cannot name the scene")?;
+
+    if arguments.json {
+        console::print_json(&json!({
+            "folder": written.folder,
+            "frames": frames,
+            "ground_truth": written.ground_truth,
+            "calibration": written.calibration,
+            "surface": surface,
+        }))?;
+    } else if !arguments.quiet {
+        let folder = written.folder.display();
+        console::print(format_args!("{folder}: {frames} frames with exact poses (groundtruth.txt) and surface.ply"))?;
+    }
+    Ok(0)
+}
+
+impl Arguments {
+    fn spec(&self) -> Spec {
+        let mut spec = Spec::new(self.path).with_size(self.size.0, self.size.1);
+        if let Some(duration_s) = self.duration {
+            spec.duration_s = duration_s;
+            spec.frames = (duration_s * spec.frame_rate_hz).round() as u32;
+        }
+        spec.frames = self.frames.unwrap_or(spec.frames).max(1);
+        spec.seed = self.seed;
+        spec.quality = match self.quality {
+            QualityArgument::Draft => Quality::Draft,
+            QualityArgument::Fine => Quality::Fine,
+        };
+        if self.noise == Noise::Kinect {
+            spec.noise = Some(DepthNoise::KINECT);
+            spec.inertial_noise = Some(InertialNoise::PHONE);
+        }
+        spec
+    }
+}
+
+fn parse_size(text: &str) -> Result<(u32, u32), String> {
+    let size = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    size.filter(|&(w, h)| w > 0 && h > 0).ok_or_else(|| "expected WIDTHxHEIGHT, such as 640x480".to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_width_times_height() {
+        assert_eq!(parse_size("641x479"), Ok((641, 479)));
+        for bad in ["640", "640x", "0x480", "640x-1", "axb"] {
+            assert!(parse_size(bad).is_err(), "{bad}");
+        }
+    }
+}
