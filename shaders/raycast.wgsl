@@ -17,6 +17,9 @@ struct Params {
 // World coordinates in metres, and one plus the smallest weight of the eight voxels around; all zero where the ray hits nothing.
 @group(0) @binding(2) var<storage, read_write> points: array<vec4<f32>>;
 
+// A hit's distance from the surface, in truncation bands, is at most this.
+const LARGEST_REST: f32 = 0.25;
+
 const SEARCH_BLOCK_COARSE: u32 = 0u;
 const SEARCH_BLOCK_FINE: u32 = 1u;
 const SEARCH_SURFACE: u32 = 2u;
@@ -107,8 +110,9 @@ fn cast_ray(pixel: vec2<u32>) -> vec4<f32> {
     t += refined.x * band;
     let hit = origin + t * direction;
     refined = interpolate(params.map, hit, &cache);
-    // Where one of the eight voxels was never seen, the crossing is a guess.
-    if refined.y == 0.0 {
+    // Where one of the eight voxels was never seen, the crossing is a guess; where the steps did not lead to the surface, as
+    // at an object's outline, where distances of front and side are mixed, there is none.
+    if refined.y == 0.0 || abs(refined.x) > LARGEST_REST {
         return vec4(0.0);
     }
     return vec4(hit * params.map.voxel_size_m, refined.y + 1.0);

@@ -16,6 +16,9 @@ pub struct Hit {
     pub weight: u16,
 }
 
+/// A hit's distance from the surface, in truncation bands, is at most this.
+pub const LARGEST_REST: f64 = 0.25;
+
 /// What a ray has met last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
@@ -108,11 +111,12 @@ pub fn cast_ray(map: &Map, origin: DVec3, direction: DVec3, start: f64, end: f64
     None
 }
 
-/// One more step from close to the surface. There is no hit where one of the eight voxels around was never seen.
+/// One more step from close to the surface. There is no hit where one of the eight voxels around was never seen, or where
+/// that step has not led to the surface, as at an object's outline, where distances of front and side are mixed.
 fn refine(map: &Map, at: &impl Fn(f64) -> DVec3, t: f64, band: f64) -> Option<Hit> {
     let t = t + map.interpolate(at(t)).0 * band;
-    let (_, weight) = map.interpolate(at(t));
-    (weight > 0).then(|| Hit { point: at(t) * f64::from(map.voxel_size_m), weight })
+    let (distance, weight) = map.interpolate(at(t));
+    (weight > 0 && distance.abs() <= LARGEST_REST).then(|| Hit { point: at(t) * f64::from(map.voxel_size_m), weight })
 }
 
 #[cfg(test)]
