@@ -1,0 +1,106 @@
+//! Every variant of every pass translates to what each backend of wgpu hands to its driver. The cheapest evidence for
+//! 'runs on any GPU' where none is at hand.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use itm_shaders::{ALL, Pass, Variant};
+use naga::back::{hlsl, msl, pipeline_constants::process_overrides, spv};
+use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
+
+/// Calls `translate` with each variant, validated, once with its overrides' defaults.
+fn for_each_variant(translate: impl Fn(&naga::Module, &ModuleInfo) -> Result<(), String>) {
+    let mut failures = Vec::new();
+    for pass in ALL {
+        for variant in pass.variants {
+            if let Err(e) = resolve(variant).and_then(|(module, info)| translate(&module, &info)) {
+                failures.push(format!("{}: {e}", name(pass, variant)));
+            }
+        }
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+fn name(pass: &Pass, variant: &Variant) -> String {
+    format!("{} {:?}", pass.name, variant.features)
+}
+
+fn resolve(variant: &Variant) -> Result<(naga::Module, ModuleInfo), String> {
+    let module = naga::front::wgsl::parse_str(variant.source).map_err(|e| e.emit_to_string(variant.source))?;
+    // No capability beyond what every WebGPU adapter has.
+    let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
+        .validate(&module)
+        .map_err(|e| e.emit_to_string(variant.source))?;
+    let entry = Some((naga::ShaderStage::Compute, "main"));
+    let (module, info) = process_overrides(&module, &info, entry, &naga::back::PipelineConstants::default())
+        .map_err(|e| e.to_string())?;
+    Ok((module.into_owned(), info.into_owned()))
+}
+
+#[test]
+fn to_spirv_for_vulkan() {
+    for_each_variant(|module, info| {
+        let options = spv::Options { lang_version: (1, 3), ..Default::default() };
+        let words = spv::write_vec(module, info, &options, None).map_err(|e| e.to_string())?;
+        if words.first() == Some(&0x0723_0203) { Ok(()) } else { Err("no SPIR-V".into()) }
+    });
+}
+
+#[test]
+fn to_msl_for_metal() {
+    for_each_variant(|module, info| {
+        // Metal 1.2 came with macOS 10.12, the oldest that Rust supports. Faked bindings stand in for the slots that a
+        // pipeline layout would give.
+        let options = msl::Options { lang_version: (1, 2), fake_missing_bindings: true, ..Default::default() };
+        let (text, info) =
+            msl::write_string(module, info, &options, &msl::PipelineOptions::default()).map_err(|e| e.to_string())?;
+        for name in info.entry_point_names {
+            name.map_err(|e| e.to_string())?;
+        }
+        if text.contains("kernel void") { Ok(()) } else { Err("no kernel".into()) }
+    });
+}
+
+#[test]
+fn to_hlsl_for_direct3d_12() {
+    for_each_variant(|module, info| {
+        let options =
+            hlsl::Options { shader_model: hlsl::ShaderModel::V6_0, fake_missing_bindings: true, ..Default::default() };
+        let mut text = String::new();
+        let written = hlsl::Writer::new(&mut text, &options, &hlsl::PipelineOptions::default())
+            .write(module, info, None)
+            .map_err(|e| e.to_string())?;
+        for name in written.entry_point_names {
+            name.map_err(|e| e.to_string())?;
+        }
+        if text.contains("[numthreads(") { Ok(()) } else { Err("no entry point".into()) }
+    });
+}
+
+#[test]
+fn every_shader_file_is_a_pass_or_shared() {
+    fn find(root: &Path, folder: &Path, found: &mut BTreeSet<String>) {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let relative = path.strip_prefix(root).unwrap().with_extension("");
+            let name = relative.to_str().unwrap().replace('\\', "/");
+            if path.is_dir() {
+                if !["shared", "src", "target", "tests"].contains(&name.as_str()) {
+                    find(root, &path, found);
+                }
+            } else if path.extension().is_some_and(|e| e == "wgsl") {
+                found.insert(name);
+            }
+        }
+    }
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut files = BTreeSet::new();
+    find(root, root, &mut files);
+    assert!(files.contains("raycast") && files.contains("view/bilateral"), "{files:?}");
+    let passes: BTreeSet<String> = ALL.iter().map(|p| p.name.to_string()).collect();
+    assert_eq!(files, passes);
+    assert_eq!(passes.len(), ALL.len(), "no two passes have one name");
+    for pass in ALL {
+        assert!(pass.variants[0].features.is_empty(), "the first variant of {} has no features", pass.name);
+    }
+}
