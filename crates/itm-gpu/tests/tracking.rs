@@ -300,13 +300,6 @@ fn surfaces_come_back_where_they_are() {
             assert!(hit * 100 >= there * 90, "{context}: only {hit} of {there} rays hit");
             assert!(off_degrees.len() * 100 >= hit * 80, "{context}: only {} normals", off_degrees.len());
             let [median, most] = [0.5, 0.95].map(|share| quantile(off_voxels.clone(), share));
-            println!(
-                "{context}: {hit}/{there} median {median} most {most} 99 {} 99.9 {} deg {} {}",
-                quantile(off_voxels.clone(), 0.99),
-                quantile(off_voxels.clone(), 0.999),
-                quantile(off_degrees.clone(), 0.5),
-                quantile(off_degrees.clone(), 0.9)
-            );
             assert!(median < 0.1, "{context}: {median} voxels off");
             assert!(most < 1.0, "{context}: one of twenty points is {most} voxels off");
             let median = quantile(off_degrees, 0.5);
