@@ -35,7 +35,7 @@ fn noisy_room(camera: &Intrinsics, world_from_camera: &Se3, seed: u32) -> Image<
     let depth = Scene::room().depth(camera, world_from_camera);
     Image::from_fn(camera.width, camera.height, |x, y| {
         let hash = (x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ seed).wrapping_mul(0xc2b2_ae35) >> 8;
-        if hash % 13 == 0 { 0.0 } else { depth[(x, y)] + (hash % 1000) as f32 * 1e-5 }
+        if hash.is_multiple_of(13) { 0.0 } else { depth[(x, y)] + (hash % 1000) as f32 * 1e-5 }
     })
 }
 

@@ -35,11 +35,11 @@ fn cast(gpu: &Gpu, scene: &Scene, fused_from: &[Se3], camera: Intrinsics, pose: 
 
 impl Cast {
     fn points(&self, gpu: &Gpu) -> Image<[f32; 4]> {
-        self.image.read_points(&gpu.device).unwrap()
+        self.image.read_points(&gpu.device).expect("the device answers")
     }
 
     fn normals(&self, gpu: &Gpu) -> Image<[f32; 4]> {
-        self.image.read_normals(&gpu.device).unwrap()
+        self.image.read_normals(&gpu.device).expect("the device answers")
     }
 
     fn visible(&self, gpu: &Gpu) -> Vec<IVec3> {

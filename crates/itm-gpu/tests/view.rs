@@ -18,7 +18,7 @@ const OPTIONS: ViewOptions =
 fn run(device: &Device, calibration: &Calibration, frame: &Frame, options: &ViewOptions) -> View {
     let mut view = View::new(device, calibration, options);
     let mut recorder = Recorder::new(device);
-    ViewStage::new(device).record(&mut recorder, &mut view, frame, options).unwrap();
+    ViewStage::new(device).record(&mut recorder, &mut view, frame, options).expect("the sizes are right");
     let _untimed = recorder.submit();
     view
 }
@@ -41,7 +41,7 @@ fn depth_image((width, height): (u32, u32), seed: [u32; 4]) -> Image<f32> {
     let [a, b, c, d] = seed.map(|s| s as f32 / u32::MAX as f32);
     Image::from_fn(width, height, |x, y| {
         let hash = (x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ seed[0]).wrapping_mul(0xc2b2_ae35) >> 8;
-        if hash % 11 == 0 {
+        if hash.is_multiple_of(11) {
             return 0.0;
         }
         let noise = (hash % 1000) as f32 * 4e-6;

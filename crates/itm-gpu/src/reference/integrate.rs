@@ -35,10 +35,10 @@ pub fn integrate(map: &mut Map, visible: &[IVec3], observation: &Observation<'_>
             }
             let relative = eta / truncation;
             block.distances[at] = fuse_distance(block.distances[at], relative, options);
-            if relative.abs() <= f64::from(options.colour_band) {
-                if let Some((_, colour)) = observed_colour(observation, point_world) {
-                    block.colours[at] = fuse_colour(block.colours[at], colour, options.max_weight);
-                }
+            if relative.abs() <= f64::from(options.colour_band)
+                && let Some((_, colour)) = observed_colour(observation, point_world)
+            {
+                block.colours[at] = fuse_colour(block.colours[at], colour, options.max_weight);
             }
         }
     }

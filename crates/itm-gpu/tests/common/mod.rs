@@ -23,6 +23,7 @@ use proptest::test_runner::Config as ProptestConfig;
 ///
 /// # Panics
 /// Where no adapter can be opened: a test that cannot run has failed.
+#[expect(clippy::print_stdout, reason = "a test that checks nothing says so")]
 pub(crate) fn device() -> Option<&'static Device> {
     if std::env::var_os("ITM_SKIP_GPU_TESTS").is_some() {
         println!("skipped, because ITM_SKIP_GPU_TESTS is set");
