@@ -7,10 +7,10 @@ use std::collections::HashSet;
 
 use common::{Fusion, Gpu, OPTIONS, Scene, Shape};
 use glam::{DVec3, IVec3};
-use itm_core::voxel::{BLOCK_VOXELS, BlockKey};
+use itm_core::voxel::{BLOCK_VOXELS, BlockKey, DistanceVoxel};
 use itm_core::{Calibration, DepthConversion, Frame, Image, Intrinsics, Se3};
 use itm_gpu::integrate::IntegrateOptions;
-use itm_gpu::{Recorder, reference};
+use itm_gpu::{HostBlock, Recorder, reference};
 use proptest::prelude::*;
 
 /// Positions along a ray of up to 5 m carry a few roundings of 2.4e-7 m each; in blocks of 8 cm and more that is less than
@@ -323,6 +323,45 @@ fn thousands_of_blocks_are_found_after_one_frame_and_others_are_not() {
         .collect();
     assert!(gpu.hash.look_up(&fusion.map, &others).unwrap().iter().all(Option::is_none));
     assert_eq!(gpu.hash.look_up(&fusion.map, &[]).unwrap(), []);
+}
+
+#[test]
+fn keys_that_all_want_the_last_few_slots_are_told_apart() {
+    let Some(gpu) = common::gpu() else { return };
+    // 512 blocks in 1024 slots, all of which want one of the last four: one long row that goes on at the beginning.
+    let mut colliding = (0..)
+        .map(|i: i32| {
+            let position = IVec3::new(i % 64 - 32, i / 64 % 64 - 32, i / 4096 - 32);
+            BlockKey { submap: (i % 3) as u16, position }
+        })
+        .filter(|key| reference::hash::hash_of(*key) & 1023 >= 1020);
+    let keys: Vec<BlockKey> = colliding.by_ref().take(512).collect();
+    let others: Vec<BlockKey> = colliding.take(100).collect();
+    let mut fusion = Fusion::new(gpu, common::camera(8, 6), 0.02, false, 512);
+    let voxels: Vec<_> = (0..512).map(|i| [DistanceVoxel::new(0.5, i); BLOCK_VOXELS]).collect();
+    let blocks: Vec<_> =
+        (keys.iter().zip(&voxels)).map(|(key, distances)| HostBlock { key: *key, distances, colours: None }).collect();
+    fusion.map.insert_blocks(&blocks).unwrap();
+    assert_eq!(fusion.map.capacity(), 512);
+    assert_eq!(fusion.map.read_distances(300).unwrap(), voxels[300]);
+
+    let find = |fusion: &Fusion, keys: &[BlockKey]| gpu.hash.look_up(&fusion.map, keys).unwrap();
+    assert!(find(&fusion, &keys).into_iter().eq((0..512).map(Some)));
+    assert!(find(&fusion, &others).iter().all(Option::is_none));
+
+    let odd: Vec<u32> = (0..512).filter(|i| i % 2 == 1).collect();
+    let mut recorder = Recorder::new(&gpu.device);
+    gpu.hash.remove(&mut recorder, &fusion.map, &odd);
+    let _untimed = recorder.submit();
+    let left = || (0..512).map(|i| (i % 2 == 0).then_some(i));
+    assert!(find(&fusion, &keys).into_iter().eq(left()), "found across tombstones");
+    assert!(find(&fusion, &others).iter().all(Option::is_none));
+    let mut recorder = Recorder::new(&gpu.device);
+    gpu.hash.rebuild(&mut recorder, &fusion.map);
+    let _untimed = recorder.submit();
+    assert!(find(&fusion, &keys).into_iter().eq(left()), "found in a hash without tombstones");
+    fusion.map.grow(3_000).unwrap();
+    assert!(find(&fusion, &keys).into_iter().eq(left()), "found in a larger hash");
 }
 
 #[test]

@@ -92,9 +92,9 @@ pub(crate) fn gpu() -> Option<&'static Gpu> {
     device().map(|device| GPU.get_or_init(|| Gpu::new(device)))
 }
 
-/// A camera with a field of view of about 60 degrees, its principal point beside the middle.
+/// A camera with a field of view of about 60 degrees along its longer side, its principal point beside the middle.
 pub(crate) fn camera(width: u32, height: u32) -> Intrinsics {
-    let focal = 0.87 * f64::from(width);
+    let focal = 0.87 * f64::from(width.max(height));
     Intrinsics::new(width, height, focal, focal * 1.01, f64::from(width) * 0.49, f64::from(height) * 0.52)
 }
 
