@@ -133,16 +133,14 @@ impl Pass {
     fn new(root: &Path, file: &str) -> Result<Self> {
         const PLAIN: &[&[&str]] = &[&[]];
         let feature_sets = VARIANTS.iter().find(|(name, _)| *name == file).map_or(PLAIN, |(_, sets)| sets);
-        let text = std::fs::read_to_string(root.join(format!("{file}.wgsl"))).map_err(|e| format!("{file}.wgsl: {e}"))?;
-        let doc = text
-            .lines()
-            .map_while(|l| l.strip_prefix("//"))
-            .map(|l| format!("///{l}\n"))
-            .collect::<String>();
+        let text =
+            std::fs::read_to_string(root.join(format!("{file}.wgsl"))).map_err(|e| format!("{file}.wgsl: {e}"))?;
+        let doc = text.lines().map_while(|l| l.strip_prefix("//")).map(|l| format!("///{l}\n")).collect::<String>();
         if doc.is_empty() {
             return Err(format!("{file}.wgsl must start with a comment that says what the pass does"));
         }
-        let known: BTreeSet<&'static str> = VARIANTS.iter().flat_map(|(_, sets)| sets.iter().copied().flatten().copied()).collect();
+        let known: BTreeSet<&'static str> =
+            VARIANTS.iter().flat_map(|(_, sets)| sets.iter().copied().flatten().copied()).collect();
         let variants = feature_sets
             .iter()
             .map(|features| Variant::new(root, file, features, &known))
@@ -178,20 +176,27 @@ impl Pass {
                 let _ = writeln!(code, "    /// Storage, {access}.\n    pub {field}: {ty},");
             }
         }
-        code.push_str("}\n\nimpl crate::Bindings for Bindings<'_> {\n    const PASS: &'static crate::Pass = &PASS;\n\n");
+        code.push_str(
+            "}\n\nimpl crate::Bindings for Bindings<'_> {\n    const PASS: &'static crate::Pass = &PASS;\n\n",
+        );
         let uniform_bytes = if uniform.is_some() { "bytemuck::bytes_of(&self.params)" } else { "&[]" };
         let _ = writeln!(code, "    fn uniform(&self) -> &[u8] {{\n        {uniform_bytes}\n    }}\n");
         code.push_str("    fn storage(&self, group: u32, binding: u32) -> Option<&wgpu::Buffer> {\n        match (group, binding) {\n");
         for ((group, slot), (binding, count)) in &union {
             if binding.uniform.is_none() {
                 let field = &binding.name;
-                let value = if *count == self.variants.len() { format!("Some(self.{field})") } else { format!("self.{field}") };
+                let value =
+                    if *count == self.variants.len() { format!("Some(self.{field})") } else { format!("self.{field}") };
                 let _ = writeln!(code, "            ({group}, {slot}) => {value},");
             }
         }
         code.push_str("            _ => None,\n        }\n    }\n}\n\n");
 
-        let _ = write!(code, "{}pub const PASS: crate::Pass = crate::Pass {{\n    name: {name:?},\n    variants: &[\n", self.doc);
+        let _ = write!(
+            code,
+            "{}pub const PASS: crate::Pass = crate::Pass {{\n    name: {name:?},\n    variants: &[\n",
+            self.doc
+        );
         for variant in &self.variants {
             let _ = writeln!(
                 code,
@@ -219,7 +224,8 @@ impl Pass {
 
 impl Variant {
     fn new(root: &Path, file: &str, features: &'static [&'static str], known: &BTreeSet<&'static str>) -> Result<Self> {
-        let place = || if features.is_empty() { format!("{file}.wgsl") } else { format!("{file}.wgsl with {features:?}") };
+        let place =
+            || if features.is_empty() { format!("{file}.wgsl") } else { format!("{file}.wgsl with {features:?}") };
         let mut compiler = wesl::Wesl::new(root);
         for feature in known {
             compiler.set_feature(feature, features.contains(feature));

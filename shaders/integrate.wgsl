@@ -78,6 +78,7 @@ fn main(
         let corner_camera = (params.camera_from_world * vec4(corner, 1.0)).xyz;
         let along_y = params.camera_from_world[1].xyz * voxel;
         let along_z = params.camera_from_world[2].xyz * voxel;
+        @if(colour) var near_surface = vec2(0u);
         for (var z = 0u; z < 8u; z++) {
             for (var y = 0u; y < 8u; y++) {
                 let p = corner_camera + f32(y) * along_y + f32(z) * along_z;
@@ -104,9 +105,24 @@ fn main(
                 }
                 @if(colour) {
                     if abs(eta * per_mu) <= params.colour_band {
-                        fuse_colour(at, corner + vec3(0.0, f32(y), f32(z)) * voxel);
+                        near_surface[z >> 2u] |= 1u << ((y | (z << 3u)) & 31u);
                     }
                 }
+            }
+        }
+        // Colour in a loop of its own over the few voxels near the surface: a software driver would do its work for all
+        // 64 of the column, masked, if it stood in the branch above.
+        @if(colour) {
+            while (near_surface.x | near_surface.y) != 0u {
+                let upper = near_surface.x == 0u;
+                let bits = select(near_surface.x, near_surface.y, upper);
+                let k = firstTrailingBit(bits) + select(0u, 32u, upper);
+                near_surface = select(
+                    vec2(near_surface.x & (near_surface.x - 1u), near_surface.y),
+                    vec2(near_surface.x, near_surface.y & (near_surface.y - 1u)),
+                    upper,
+                );
+                fuse_colour(in_page * BLOCK_VOXELS + x + 8u * k, corner + vec3(0.0, f32(k & 7u), f32(k >> 3u)) * voxel);
             }
         }
     }

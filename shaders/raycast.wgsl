@@ -1,7 +1,8 @@
 // Casts a ray for each pixel and finds where it enters a surface (the report, section 3.4). Rays start and end where the
 // range image says.
 import package::shared::camera::{Camera, unproject};
-import package::shared::distance::{Cache, no_cache, find_cached, load_distance, unpack_distance, unpack_weight, interpolate};
+import package::shared::distance::{load_distance_or_zero, unpack_distance, unpack_weight, interpolate};
+import package::shared::grid::find_in_grid;
 import package::shared::map::{Map, block_of, index_in_block};
 
 struct Params {
@@ -51,65 +52,51 @@ fn cast_ray(pixel: vec2<u32>) -> vec4<f32> {
     let direction = (params.world_from_camera * vec4(ray / length(ray), 0.0)).xyz;
     let origin = params.world_from_camera[3].xyz * per_voxel;
     let band = params.map.truncation_m * per_voxel;
+    let forward = direction > vec3(0.0);
+    let inverse = 1.0 / select(direction, vec3(1e-12), abs(direction) < vec3(1e-12));
     var t = near * stretch;
-    let start = t;
     let end = far * stretch;
-    // How far the fine search goes before it is given up for the coarse one.
-    var fine_until = 0.0;
     var state = SEARCH_BLOCK_COARSE;
     var distance = 1.0;
-    var cache = no_cache();
+    // Software drivers run both sides of every branch, so this loop looks up one block and one voxel, and nothing else:
+    // interpolation waits for the refining steps.
     while t < end {
-        let p = origin + t * direction;
-        let voxel = vec3<i32>(floor(p + 0.5));
-        let block = find_cached(params.map, block_of(voxel), &cache);
+        let p = origin + t * direction + 0.5;
+        let voxel = vec3<i32>(floor(p));
+        let block = find_in_grid(params.map, block_of(voxel));
+        let word = load_distance_or_zero(params.map, block, index_in_block(voxel));
+        distance = unpack_distance(word);
         var step = band;
         if block == 0u {
-            if state != SEARCH_BLOCK_FINE || t > fine_until {
-                state = SEARCH_BLOCK_COARSE;
-                step = 8.0;
-            }
-        } else if state == SEARCH_BLOCK_COARSE {
-            // The step that led here may have jumped over the block's first voxels, or over another block's corner.
+            // A block at a time, exactly to its border: no step jumps over the next one's corner.
+            state = SEARCH_BLOCK_COARSE;
+            let corner = vec3<f32>(block_of(voxel) * 8);
+            let border = (select(corner, corner + 8.0, forward) - p) * inverse;
+            step = max(min(border.x, min(border.y, border.z)), 0.0) + 0.01;
+        } else if unpack_weight(word) == 0u {
+            // Never seen: neither in front of a surface nor behind one.
             state = SEARCH_BLOCK_FINE;
-            fine_until = t;
-            t = max(t - 8.0, start);
-            continue;
+        } else if distance > 0.0 {
+            state = SEARCH_SURFACE;
+            step = max(distance * band, 1.0);
+        } else if state == SEARCH_SURFACE {
+            state = BEHIND_SURFACE;
+            break;
         } else {
-            let word = load_distance(params.map, block - 1u, index_in_block(voxel));
-            if unpack_weight(word) == 0u {
-                // Never seen: neither in front of a surface nor behind one.
-                state = SEARCH_BLOCK_FINE;
-                fine_until = t;
-            } else {
-                distance = unpack_distance(word);
-                if distance <= 0.1 && distance >= -0.5 {
-                    distance = interpolate(params.map, p, &cache).x;
-                }
-                if distance > 0.0 {
-                    state = SEARCH_SURFACE;
-                    step = max(distance * band, 1.0);
-                } else if state == SEARCH_SURFACE {
-                    state = BEHIND_SURFACE;
-                    break;
-                } else {
-                    state = WRONG_SIDE;
-                    fine_until = t;
-                    step = max(-distance * band, 1.0);
-                }
-            }
+            // Behind a surface without having been in front of it.
+            state = WRONG_SIDE;
+            step = max(-distance * band, 1.0);
         }
         t += step;
     }
     if state != BEHIND_SURFACE {
         return vec4(0.0);
     }
-    // Two steps to the zero crossing.
+    // To the zero crossing: one step by the nearest voxel, two by interpolation.
     t += distance * band;
-    var refined = interpolate(params.map, origin + t * direction, &cache);
-    t += refined.x * band;
+    t += interpolate(params.map, origin + t * direction).x * band;
     let hit = origin + t * direction;
-    refined = interpolate(params.map, hit, &cache);
+    let refined = interpolate(params.map, hit);
     // Where one of the eight voxels was never seen, the crossing is a guess; where the steps did not lead to the surface, as
     // at an object's outline, where distances of front and side are mixed, there is none.
     if refined.y == 0.0 || abs(refined.x) > LARGEST_REST {

@@ -1,7 +1,7 @@
 // The map's colour at each point of a raycast image: the mean of the eight voxels around, weighted trilinearly, over
 // those that hold a colour.
 import package::shared::map::{Map, BLOCK_VOXELS, block_of, index_in_block};
-import package::shared::table::find_block;
+import package::shared::grid::find_in_grid;
 
 struct Params {
     map: Map,
@@ -45,7 +45,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
             for (var c = 0u; c < 8u; c++) {
                 let offset = vec3(c & 1u, (c >> 1u) & 1u, c >> 2u);
                 let voxel = base + vec3<i32>(offset);
-                let block = find_block(params.map, block_of(voxel));
+                let block = find_in_grid(params.map, block_of(voxel));
                 if block != 0u {
                     let word = load_colour(block - 1u, index_in_block(voxel));
                     if (word >> 24u) > 0u {

@@ -71,7 +71,7 @@ pub struct Capabilities {
 
 /// The storage buffers of the widest pass that every adapter must offer, and the raycast's beside its pages.
 const NEEDED_STORAGE_BUFFERS: u32 = 8;
-const RAYCAST_OTHER_BUFFERS: u32 = 5;
+const RAYCAST_OTHER_BUFFERS: u32 = 3;
 const LARGEST_RAYCAST_VARIANT: u32 = 4;
 const NEEDED_WORKGROUP: u32 = 256;
 
@@ -334,11 +334,7 @@ impl Device {
     }
 
     /// Reads the first `bytes` of a staging buffer that a submitted recording wrote; waits for it.
-    pub(crate) fn read_staging<T: bytemuck::Pod>(
-        &self,
-        staging: &wgpu::Buffer,
-        bytes: u64,
-    ) -> Result<Vec<T>, Error> {
+    pub(crate) fn read_staging<T: bytemuck::Pod>(&self, staging: &wgpu::Buffer, bytes: u64) -> Result<Vec<T>, Error> {
         let slice = staging.slice(0..bytes);
         slice.map_async(wgpu::MapMode::Read, |_| ());
         self.wait()?;

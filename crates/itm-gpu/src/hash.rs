@@ -81,8 +81,7 @@ impl Hash {
             slots: &map.hash,
         };
         recorder.dispatch(&self.remove, &bindings, Groups::linear(count.into(), 64));
-        let bindings =
-            hash::removed::Bindings { params: hash::removed::Params { count }, counters: &map.counters };
+        let bindings = hash::removed::Bindings { params: hash::removed::Params { count }, counters: &map.counters };
         recorder.dispatch(&self.removed, &bindings, Groups::Count([1, 1, 1]));
         for pages in [&map.distances, &map.colours] {
             for (voxels, page) in pages.iter().zip(0..) {

@@ -55,9 +55,7 @@ impl Integrate {
                     depth_camera: camera_params(&calibration.depth, [0.0, 0.0]),
                     colour_camera: camera_params(&calibration.colour, [0.0, 0.0]),
                     camera_from_world: camera_from_world.to_mat4().to_cols_array_2d(),
-                    colour_from_world: (calibration.colour_from_depth * camera_from_world)
-                        .to_mat4()
-                        .to_cols_array_2d(),
+                    colour_from_world: (calibration.colour_from_depth * camera_from_world).to_mat4().to_cols_array_2d(),
                     map: map.params(),
                     page,
                     max_weight: options.max_weight.into(),

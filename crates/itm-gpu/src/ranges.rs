@@ -33,13 +33,7 @@ impl Ranges {
     }
 
     /// Records the stage for the map's visible list, as seen by the image's camera from a pose.
-    pub fn record(
-        &self,
-        recorder: &mut Recorder,
-        map: &BlockMap,
-        image: &RaycastImage,
-        world_from_camera: &Se3,
-    ) {
+    pub fn record(&self, recorder: &mut Recorder, map: &BlockMap, image: &RaycastImage, world_from_camera: &Se3) {
         recorder.stage("ranges");
         let size = range_size(image.camera());
         recorder.clear(&image.ranges, u64::from(size[0]) * u64::from(size[1]) * 8);

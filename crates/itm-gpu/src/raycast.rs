@@ -115,8 +115,6 @@ impl Raycast {
             },
             ranges: &image.ranges,
             points: &image.points,
-            keys: &map.keys,
-            hash: &map.hash,
             grid: &map.grid,
             distance0: &map.distances[0],
             distance1: map.distances.get(1),

@@ -171,7 +171,6 @@ impl Recorder {
         recorder
     }
 
-
     /// Names the stage that the following commands belong to.
     pub fn stage(&mut self, name: &'static str) {
         if self.stage != name {

@@ -69,8 +69,6 @@ impl Render {
                     colour1: map.colours.get(1),
                     colour2: map.colours.get(2),
                     colour3: map.colours.get(3),
-                    keys: &map.keys,
-                    hash: &map.hash,
                     grid: &map.grid,
                 };
                 recorder.dispatch(pipeline, &bindings, groups);

@@ -132,11 +132,7 @@ impl View {
     }
 }
 
-fn read<T: bytemuck::Pod>(
-    device: &Device,
-    buffer: &wgpu::Buffer,
-    camera: &Intrinsics,
-) -> Result<Image<T>, Error> {
+fn read<T: bytemuck::Pod>(device: &Device, buffer: &wgpu::Buffer, camera: &Intrinsics) -> Result<Image<T>, Error> {
     let values = device.read(buffer, 0, (camera.pixels() * size_of::<T>()) as u64)?;
     Ok(Image::new(camera.width, camera.height, values).expect("as many values as pixels"))
 }
@@ -267,8 +263,7 @@ impl ViewStage {
 
     fn record_colour(&self, recorder: &mut Recorder, view: &mut View, image: &ColourImage) {
         let camera = view.calibration.colour;
-        let colour =
-            view.colour.get_or_insert_with(|| self.device.storage("colour", camera.pixels() as u64 * 4));
+        let colour = view.colour.get_or_insert_with(|| self.device.storage("colour", camera.pixels() as u64 * 4));
         self.device.queue.write_buffer(colour, 0, bytemuck::cast_slice(image.data()));
         if let Some(finest) = view.intensity.first() {
             let params = view::intensity::Params { size: [camera.width, camera.height] };
