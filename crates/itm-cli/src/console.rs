@@ -1,6 +1,6 @@
 //! What the program says: results on standard output, everything else on standard error, above the progress bars.
 
-use std::io::{self, ErrorKind, Write as _};
+use std::io::{self, ErrorKind, IsTerminal as _, Write as _};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, Once, PoisonError};
 use std::time::Duration;
@@ -54,10 +54,15 @@ pub(crate) fn bar(length: u64, unit: &str, quiet: bool) -> ProgressBar {
 
 /// Sends what libraries log to standard error: warnings, or more if `verbose` or `RUST_LOG` ask for it.
 pub(crate) fn start_logging(verbose: bool) {
+    // wgpu's lowest layer passes on what drivers say, as that there is none; what matters of it comes as an error.
     let usual =
-        if verbose { "info,itm_slam=debug,itm_gpu=debug,itm_io=debug,wgpu_hal=warn" } else { "warn,wgpu_hal=error" };
+        if verbose { "info,itm_slam=debug,itm_gpu=debug,itm_io=debug,wgpu_hal=warn" } else { "warn,wgpu_hal=off" };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(usual));
-    let subscriber = tracing_subscriber::fmt().with_env_filter(filter).with_target(false).without_time();
+    let subscriber = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_target(false)
+        .without_time()
+        .with_ansi(io::stderr().is_terminal());
     // Only the first run of a process installs a subscriber, and a host program's own wins.
     let _installed = subscriber.with_writer(AboveBars).try_init();
 }

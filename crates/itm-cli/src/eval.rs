@@ -69,10 +69,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     if arguments.json {
         console::print_json(&Answer { frames, posed_share, evaluation: &evaluation })?;
     } else {
-        console::print(&evaluation)?;
+        console::print(evaluation)?;
         console::print(match (frames, posed_share) {
             (Some(frames), Some(share)) => {
-                format!("frames with a pose: {} of {frames} ({:.1} %)", evaluation.estimate_poses, share * 100.0)
+                format!(
+                    "frames with a pose: {} of the recording's {frames} ({:.1} %)",
+                    evaluation.estimate_poses,
+                    share * 100.0
+                )
             }
             _ => "frames with a pose: not known from these files; the recording's folder as GT would tell".into(),
         })?;

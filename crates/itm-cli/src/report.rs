@@ -30,7 +30,12 @@ pub(crate) struct Report<'a> {
 
 /// Writes the page.
 pub(crate) fn write(path: &Path, report: &Report<'_>) -> Result<()> {
-    std::fs::write(path, report.html()).with_context(|| format!("cannot write '{}'", path.display()))
+    let written = std::fs::write(path, report.html());
+    if written.is_err() {
+        // Half a page, as a full disk leaves one, is worse than none; where it can't be removed either, the error is told.
+        let _may_stay = std::fs::remove_file(path);
+    }
+    written.with_context(|| format!("cannot write '{}'", path.display()))
 }
 
 fn escape(text: &str) -> String {

@@ -19,6 +19,7 @@ use itm_io::recording::{self, Format, RecordingInfo};
 use itm_io::trajectory::{TimeColumn, TumWriter};
 use itm_slam::{Device, Event, FrameResult, FrameStatus, Notice, Poses, Session, SessionOptions};
 use serde::Serialize;
+use serde_json::json;
 
 use crate::mesh_error::{self, MeshError};
 use crate::timings::{self, Row, STAGES, Timings};
@@ -177,16 +178,6 @@ pub(crate) struct Message {
     pub(crate) text: String,
 }
 
-/// What is written where the truth is known.
-#[derive(Serialize)]
-struct Metrics<'a> {
-    frames: usize,
-    posed: usize,
-    posed_share: f64,
-    evaluation: &'a Option<Evaluation>,
-    mesh_error: &'a Option<MeshError>,
-}
-
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     // Whatever can be wrong with what was given is found before a device is opened.
     let settings = arguments.resolve_settings()?;
@@ -277,13 +268,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         messages: log.messages.clone(),
         out: out.clone(),
     };
-    let mut late = |result: Result<()>| {
-        if let Err(error) = result {
-            summary.errors.push(format!("{error:#}"));
-        }
-    };
-    if info.ground_truth.is_some() {
-        late(write_metrics(&out, &summary_metrics(&log, ended.posed, &evaluation, &mesh_error)));
+    if let Err(error) = write_metrics(&summary) {
+        summary.errors.push(format!("{error:#}"));
     }
     let pictures = pictures::of(session.slam(), mesh.as_ref().map(|(mesh, _)| mesh));
     let trajectory = session.slam().trajectory().clone();
@@ -295,8 +281,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         pictures: &pictures,
         settings: &session.slam().settings().to_toml(),
     };
-    let written = report::write(&out.join("report.html"), &page);
-    if let Err(error) = written {
+    if let Err(error) = report::write(&out.join("report.html"), &page) {
         summary.errors.push(format!("{error:#}"));
     }
 
@@ -313,16 +298,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         (true, true) => console::INTERRUPTED,
         (true, false) => 0,
     })
-}
-
-fn summary_metrics<'a>(
-    log: &Log,
-    posed: usize,
-    evaluation: &'a Option<Evaluation>,
-    mesh_error: &'a Option<MeshError>,
-) -> Metrics<'a> {
-    let frames = log.timings.rows().len();
-    Metrics { frames, posed, posed_share: posed as f64 / frames.max(1) as f64, evaluation, mesh_error }
 }
 
 impl Arguments {
@@ -371,10 +346,21 @@ fn prepare_folder(out: &Path, recording: &Path) -> Result<()> {
     Ok(())
 }
 
-fn write_metrics(out: &Path, metrics: &Metrics<'_>) -> Result<()> {
+/// Writes what was measured against the truth, where anything was.
+fn write_metrics(summary: &Summary) -> Result<()> {
+    let Summary { frames_reached, posed, posed_share, evaluation, mesh_error, out, .. } = summary;
+    if evaluation.is_none() && mesh_error.is_none() {
+        return Ok(());
+    }
     let path = out.join("metrics.json");
-    fs::write(&path, serde_json::to_string_pretty(metrics)?)
-        .with_context(|| format!("cannot write '{}'", path.display()))
+    let metrics = json!({
+        "frames": frames_reached,
+        "posed": posed,
+        "posed_share": posed_share,
+        "evaluation": evaluation,
+        "mesh_error": mesh_error,
+    });
+    fs::write(&path, format!("{metrics:#}\n")).with_context(|| format!("cannot write '{}'", path.display()))
 }
 
 /// Extracts the mesh and writes it; returns it with the seconds that took.
@@ -465,13 +451,22 @@ impl Log {
     }
 
     fn frame(&mut self, result: &FrameResult, total_ms: f64) -> Result<()> {
-        if let Some(world_from_camera) = result.world_from_camera {
-            let pose = StampedPose { timestamp: result.timestamp, world_from_camera };
-            // Where there are no times, the number that the recording's own files and ground truth count by.
-            let number = self.info.image_number(result.timestamp).unwrap_or(result.index);
-            self.trajectory.write(number, &pose)?;
-        }
-        self.timings.frame(result, total_ms).context("cannot write timings.csv")?;
+        // Both are tried: a frame whose pose could not be written still counts.
+        let posed = self.pose(result);
+        let timed = self.timings.frame(result, total_ms).context("cannot write timings.csv");
+        self.tell(result);
+        posed.and(timed)
+    }
+
+    fn pose(&mut self, result: &FrameResult) -> Result<()> {
+        let Some(world_from_camera) = result.world_from_camera else { return Ok(()) };
+        // Where there are no times, the number that the recording's own files and ground truth count by.
+        let number = self.info.image_number(result.timestamp).unwrap_or(result.index);
+        Ok(self.trajectory.write(number, &StampedPose { timestamp: result.timestamp, world_from_camera })?)
+    }
+
+    /// Tells what is new about the state of tracking and of the map.
+    fn tell(&mut self, result: &FrameResult) {
         match (&result.status, self.lost) {
             (FrameStatus::Lost { reason }, false) => {
                 self.lost = true;
@@ -500,7 +495,6 @@ impl Log {
         if result.report.is_some() {
             self.full = full;
         }
-        Ok(())
     }
 
     fn say(&mut self, frame: u64, text: String) {
@@ -570,7 +564,7 @@ impl std::fmt::Display for Summary {
                  within a voxel ({vertices} vertices)"
             )?;
         }
-        write!(f, "\nresults: {}", self.out.join("report.html").display())
+        write!(f, "\nresults: {}", self.out.display())
     }
 }
 

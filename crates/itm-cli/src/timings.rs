@@ -75,7 +75,8 @@ impl<W: Write> Timings<W> {
             row.stage_ms[1] = Some(result.track_ms);
             row.inliers = Some(tracked.inliers);
             row.inlier_share = Some(tracked.inlier_share);
-            row.rms_mm = Some(tracked.rms_m * 1e3);
+            // Without inliers it is infinite.
+            row.rms_mm = Some(tracked.rms_m * 1e3).filter(|rms| rms.is_finite());
         }
         if result.fused {
             self.due.push_back(self.rows.len());

@@ -1,6 +1,8 @@
 //! Bad input to the program: each a clear error that names what is wrong, found before a device is opened, so that no
 //! graphics adapter is needed here.
 
+#![allow(clippy::unwrap_used, reason = "this is a test, and its helpers outside of #[test] functions are too")]
+
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
