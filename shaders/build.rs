@@ -5,6 +5,12 @@
 //! the generated code stays simple: every host-shared struct is free of padding, so that its Rust twin is plain `Pod`;
 //! there is at most one uniform, named `params`; every other binding is a storage buffer.
 
+#![expect(
+    clippy::print_stderr,
+    clippy::exit,
+    reason = "a build script is a program, and stderr is where cargo shows its errors"
+)]
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -316,10 +322,8 @@ fn write_struct(
          assert!(core::mem::size_of::<{name}>() == {span});\n}};\n"
     );
     if shared {
-        if let Some(other) = structs.insert(name.clone(), text.clone()) {
-            if other != text {
-                return Err(format!("{pass}.wgsl: two shared structs are named {name}"));
-            }
+        if structs.insert(name.clone(), text.clone()).is_some_and(|other| other != text) {
+            return Err(format!("{pass}.wgsl: two shared structs are named {name}"));
         }
     } else {
         code.push_str(&text);

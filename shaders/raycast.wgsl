@@ -95,12 +95,13 @@ fn cast_ray(pixel: vec2<u32>) -> vec4<f32> {
     // To the zero crossing: one step by the nearest voxel, two by interpolation.
     t += distance * band;
     t += interpolate(params.map, origin + t * direction).x * band;
-    let hit = origin + t * direction;
-    let refined = interpolate(params.map, hit);
-    // Where one of the eight voxels was never seen, the crossing is a guess; where the steps did not lead to the surface, as
+    let refined = interpolate(params.map, origin + t * direction);
+    // Where one of the eight voxels was never seen, the crossing is a guess; where the steps do not lead to the surface, as
     // at an object's outline, where distances of front and side are mixed, there is none.
     if refined.y == 0.0 || abs(refined.x) > LARGEST_REST {
         return vec4(0.0);
     }
+    t += refined.x * band;
+    let hit = origin + t * direction;
     return vec4(hit * params.map.voxel_size_m, refined.y + 1.0);
 }

@@ -31,12 +31,10 @@ impl NormalEquations {
         let mut hessian = [[0.0; 6]; 6];
         let mut next = sums.iter().map(|v| f64::from(*v));
         let mut take = || next.next().expect("30 sums");
-        for row in 0..6 {
-            for column in row..6 {
-                let value = take();
-                hessian[row][column] = value;
-                hessian[column][row] = value;
-            }
+        for (row, column) in (0..6).flat_map(|row| (row..6).map(move |column| (row, column))) {
+            let value = take();
+            hessian[row][column] = value;
+            hessian[column][row] = value;
         }
         let gradient = std::array::from_fn(|_| take());
         let squares = take();

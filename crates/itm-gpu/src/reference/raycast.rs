@@ -13,11 +13,11 @@ use super::ranges::PIXELS_PER_RANGE;
 pub struct Hit {
     /// World frame, metres.
     pub point: DVec3,
-    /// The smallest weight of the eight voxels around.
+    /// The smallest weight of the eight voxels around the place from which the last refining step led here.
     pub weight: u16,
 }
 
-/// A hit's distance from the surface, in truncation bands, is at most this.
+/// A hit's distance from the surface before the last step, in truncation bands, is at most this.
 pub const LARGEST_REST: f64 = 0.25;
 
 /// Casts a ray for each pixel within the depths that the range image (see [`super::ranges`]) gives, but not nearer than
@@ -89,12 +89,13 @@ fn way_through_block(position: DVec3, direction: DVec3) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// One more step from close to the surface. There is no hit where one of the eight voxels around was never seen, or where
-/// that step has not led to the surface, as at an object's outline, where distances of front and side are mixed.
+/// Two more steps from close to the surface. There is no hit where one of the eight voxels around was never seen, or where
+/// the first step has not led to the surface, as at an object's outline, where distances of front and side are mixed.
 fn refine(map: &Map, at: &impl Fn(f64) -> DVec3, t: f64, band: f64) -> Option<Hit> {
     let t = t + map.interpolate(at(t)).0 * band;
     let (distance, weight) = map.interpolate(at(t));
-    (weight > 0 && distance.abs() <= LARGEST_REST).then(|| Hit { point: at(t) * f64::from(map.voxel_size_m), weight })
+    let hit = at(t + distance * band) * f64::from(map.voxel_size_m);
+    (weight > 0 && distance.abs() <= LARGEST_REST).then_some(Hit { point: hit, weight })
 }
 
 #[cfg(test)]
