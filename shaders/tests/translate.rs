@@ -104,3 +104,14 @@ fn every_shader_file_is_a_pass_or_shared() {
         assert!(pass.variants[0].features.is_empty(), "the first variant of {} has no features", pass.name);
     }
 }
+
+/// The smallest adapters and the default limits of a host's device offer eight storage buffers a shader. Only the variants
+/// for more pages may need more: they are used where the adapter offers it.
+#[test]
+fn no_pass_needs_more_than_eight_storage_buffers() {
+    for pass in itm_shaders::ALL {
+        let bindings = pass.variants[0].bindings;
+        let storage = bindings.iter().filter(|slot| slot.kind != itm_shaders::SlotKind::Uniform).count();
+        assert!(storage <= 8, "{} binds {storage} storage buffers", pass.name);
+    }
+}

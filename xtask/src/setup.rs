@@ -65,6 +65,10 @@ pub(crate) fn components(installing: Installing) -> Result<()> {
 pub(crate) fn cargo() -> Command {
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     cargo.current_dir(crate::workspace_root());
+    if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+        // Without a desktop, Mesa's device-select layer prints an error for each program that lists adapters.
+        cargo.env("NODEVICE_SELECT", "1");
+    }
     cargo
 }
 
