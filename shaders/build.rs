@@ -5,11 +5,7 @@
 //! the generated code stays simple: every host-shared struct is free of padding, so that its Rust twin is plain `Pod`;
 //! there is at most one uniform, named `params`; every other binding is a storage buffer.
 
-#![expect(
-    clippy::print_stderr,
-    clippy::exit,
-    reason = "a build script is a program, and stderr is where cargo shows its errors"
-)]
+#![expect(clippy::print_stderr, reason = "a build script is a program, and stderr is where cargo shows its errors")]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;

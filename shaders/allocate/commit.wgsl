@@ -20,5 +20,5 @@ fn main() {
     counters[BLOCKS] += allocated - reused;
     let waiting = counters[PENDING] + requested - allocated;
     counters[PENDING] = min(waiting, params.pending_capacity);
-    counters[DROPPED] += waiting - counters[PENDING];
+    counters[DROPPED] = waiting - counters[PENDING];
 }

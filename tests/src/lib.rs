@@ -1,12 +1,14 @@
 //! What the tests of whole runs share: recordings in memory, running them, and measuring meshes against the truth.
 
+#![allow(clippy::print_stdout, reason = "tests say what they skip")]
+
 pub mod surface;
 
 use std::path::PathBuf;
 
 use itm_io::Error as IoError;
 use itm_io::recording::{Format, Recording, RecordingInfo};
-use itm_slam::{Device, Event, Frame, FrameResult, Poses, Session, SessionOptions, Settings, Summary};
+use itm_slam::{Device, Event, Frame, FrameReport, FrameResult, Poses, Session, SessionOptions, Settings, Summary};
 use itm_synth::Sequence;
 
 /// A synthetic recording that is made as it is read.
@@ -76,6 +78,13 @@ pub struct Run {
     pub summary: Summary,
 }
 
+impl Run {
+    /// All that became known of frames, in order.
+    pub fn reports(&self) -> impl Iterator<Item = &FrameReport> {
+        self.frames.iter().filter_map(|f| f.report.as_ref()).chain(&self.summary.reports)
+    }
+}
+
 /// Runs a recording to its end.
 ///
 /// # Panics
@@ -85,7 +94,7 @@ pub fn run(device: &Device, recording: Box<dyn Recording>, settings: &Settings, 
     let mut session = Session::new(device, recording, &options).expect("a recording that can be run");
     let mut frames = Vec::new();
     let mut summary = None;
-    while let Some(event) = session.next() {
+    for event in session.by_ref() {
         match event {
             Event::Frame { result, .. } => frames.push(result),
             Event::Skipped { .. } => {}

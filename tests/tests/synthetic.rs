@@ -1,7 +1,7 @@
 //! Whole runs on synthetic recordings, whose poses and surface are known exactly.
 
 use itm_slam::evaluation::{DEFAULT_TOLERANCE_NS, evaluate};
-use itm_slam::{FrameStatus, Poses, Settings, StampedPose};
+use itm_slam::{DepthImage, FrameStatus, Image, Poses, Settings, Slam, StampedPose};
 use itm_synth::{DepthNoise, Path, Sequence, Spec};
 use itm_tests::surface::{Views, accuracy_m, completeness, quantile};
 use itm_tests::{InMemory, Run, device, run};
@@ -95,7 +95,7 @@ fn a_small_pool_grows_and_nothing_is_lost() {
         let mut settings = small();
         settings.map.initial_blocks = initial_blocks;
         let mut run = run(&device, Box::new(InMemory::new(sequence.clone())), &settings, Poses::Given);
-        assert!(run.frames.iter().all(|f| f.notices.is_empty()), "every frame found room");
+        assert!(run.reports().all(|r| r.notices.is_empty()), "every frame found room");
         meshes.push(run.session.mesh(&mut |_, _| ()).expect("a mesh"));
     }
     assert!(meshes[0] == meshes[1], "the pool's first size shows in the mesh");
@@ -110,7 +110,55 @@ fn a_full_pool_is_said_and_the_run_goes_on() {
     settings.map.max_blocks = 64;
     let run = run(&device, Box::new(InMemory::new(sequence)), &settings, Poses::Given);
     assert_eq!(run.summary.posed, 6);
-    assert!(run.frames.iter().any(|f| !f.notices.is_empty()), "a full pool must be said");
+    assert!(run.reports().any(|r| !r.notices.is_empty()), "a full pool must be said");
+}
+
+#[test]
+fn frames_without_depth_begin_no_map_and_poses_that_are_not_finite_are_not_fused() {
+    let Some(device) = device() else { return };
+    let sequence = sequence(Path::Arc, (160, 120), 6);
+    for poses in [Poses::Tracked, Poses::Given] {
+        let mut slam = Slam::new(&device, &sequence.calibration(), &small(), poses).expect("a map");
+        for (i, mut frame) in sequence.frames().enumerate() {
+            if i < 2 {
+                frame.depth = DepthImage::Metres(Image::filled(160, 120, f32::NAN));
+            }
+            if i == 3 {
+                let pose = frame.world_from_camera.as_mut().expect("a pose");
+                pose.translation.x = f64::NAN;
+            }
+            // A caller's numbers may be anything.
+            frame.index = 7;
+            let result = slam.process(&frame).expect("a result");
+            match (i, poses) {
+                (0 | 1, _) => assert_eq!(result.status, FrameStatus::NoDepth),
+                (3, Poses::Given) => assert_eq!(result.status, FrameStatus::NoPose),
+                (2, _) | (_, Poses::Given) => assert_eq!(result.status, FrameStatus::Placed),
+                (_, Poses::Tracked) => assert_eq!(result.status, FrameStatus::Tracked),
+            }
+            assert_eq!(result.fused, !matches!(result.status, FrameStatus::NoDepth | FrameStatus::NoPose));
+        }
+        let mesh = slam.mesh(&mut |_, _| ()).expect("a mesh");
+        assert!(mesh.positions.iter().all(|p| p.is_finite()) && !mesh.is_empty());
+    }
+}
+
+#[test]
+fn views_that_no_map_can_hold_are_refused() {
+    let Some(device) = device() else { return };
+    let sequence = sequence(Path::Arc, (160, 120), 1);
+    let mut settings = small();
+    settings.map.voxel_size_m = 0.001;
+    settings.map.truncation_m = 0.004;
+    settings.view.max_depth_m = 500.0;
+    let error = Slam::new(&device, &sequence.calibration(), &settings, Poses::Given).unwrap_err().to_string();
+    assert!(error.contains("view.max_depth_m") && error.contains("map.voxel_size_m"), "{error}");
+
+    let mut slam = Slam::new(&device, &sequence.calibration(), &small(), Poses::Given).expect("a map");
+    let mut frame = sequence.frame(0);
+    frame.world_from_camera.as_mut().expect("a pose").translation.x = 6e5;
+    let error = slam.process(&frame).unwrap_err().to_string();
+    assert!(error.contains("relative to a point of the scene"), "{error}");
 }
 
 #[test]

@@ -14,10 +14,10 @@ use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
 use itm_core::evaluation::{self, Evaluation};
 use itm_core::{Mesh, Se3, Settings, StampedPose};
-use itm_io::mesh::MeshOptions;
+use itm_io::mesh::{MeshOptions, UpAxis};
 use itm_io::recording::{self, Format, RecordingInfo};
 use itm_io::trajectory::{TimeColumn, TumWriter};
-use itm_slam::{Device, Event, FrameResult, FrameStatus, Notice, Poses, Session, SessionOptions};
+use itm_slam::{Device, Event, FrameReport, FrameResult, FrameStatus, Notice, Poses, Session, SessionOptions};
 use serde::Serialize;
 use serde_json::json;
 
@@ -73,8 +73,14 @@ pub(crate) struct Arguments {
     /// Colour images, likewise
     #[arg(long, value_name = "PATTERN", alias = "color-pattern")]
     colour_pattern: Option<String>,
+    /// Formats of the mesh, one file each: mesh.ply, mesh.glb …
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "ply", value_name = "FORMATS")]
+    mesh_format: Vec<MeshFormat>,
+    /// Which way is up in mesh files; by default they keep the trajectory's world. GLB is always y-up
+    #[arg(long, value_enum)]
+    up: Option<UpArgument>,
     /// Write no mesh
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["mesh_format", "up"])]
     no_mesh: bool,
     /// Print the summary as JSON
     #[arg(long)]
@@ -90,6 +96,49 @@ enum PosesArgument {
     Tracked,
     /// The recording's own
     Given,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum MeshFormat {
+    /// Binary, with colours and weights
+    Ply,
+    /// Text, with colours
+    Obj,
+    /// Binary, shape only
+    Stl,
+    /// glTF, binary, with colours
+    Glb,
+}
+
+impl MeshFormat {
+    fn file_name(self) -> &'static str {
+        match self {
+            Self::Ply => "mesh.ply",
+            Self::Obj => "mesh.obj",
+            Self::Stl => "mesh.stl",
+            Self::Glb => "mesh.glb",
+        }
+    }
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum UpArgument {
+    /// The camera's axes: x right, y down, z forward
+    YDown,
+    /// As in glTF and most viewers
+    YUp,
+    /// As in ROS, CAD and Blender
+    ZUp,
+}
+
+impl From<UpArgument> for UpAxis {
+    fn from(up: UpArgument) -> Self {
+        match up {
+            UpArgument::YDown => Self::YDown,
+            UpArgument::YUp => Self::YUp,
+            UpArgument::ZUp => Self::ZUp,
+        }
+    }
 }
 
 /// Frames as asked for: `A..B`, `A..` or `..B`.
@@ -213,7 +262,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     keep(log.timings.finish(&ended.reports).context("cannot write timings.csv"));
     let mut mesh = None;
     if !arguments.no_mesh {
-        keep(write_mesh(&mut session, &out, arguments.quiet).map(|written| mesh = Some(written)));
+        keep(write_mesh(&mut session, &out, arguments).map(|written| mesh = Some(written)));
     }
     drop(stop);
 
@@ -334,7 +383,8 @@ fn prepare_folder(out: &Path, recording: &Path) -> Result<()> {
     let written = OpenOptions::new().write(true).create_new(true).open(&probe);
     written.with_context(|| format!("cannot write to the output folder '{shown}'"))?;
     fs::remove_file(&probe).with_context(|| format!("cannot remove '{}'", probe.display()))?;
-    for name in ["mesh.ply", "report.html", "metrics.json"] {
+    let meshes = MeshFormat::value_variants().iter().map(|format| format.file_name());
+    for name in meshes.chain(["report.html", "metrics.json"]) {
         let path = out.join(name);
         match fs::remove_file(&path) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
@@ -364,16 +414,19 @@ fn write_metrics(summary: &Summary) -> Result<()> {
 }
 
 /// Extracts the mesh and writes it; returns it with the seconds that took.
-fn write_mesh(session: &mut Session, out: &Path, quiet: bool) -> Result<(Mesh, f64)> {
+fn write_mesh(session: &mut Session, out: &Path, arguments: &Arguments) -> Result<(Mesh, f64)> {
     let started = Instant::now();
-    let bar = console::bar(0, "blocks meshed", quiet);
+    let bar = console::bar(0, "blocks meshed", arguments.quiet);
     let mesh = session.mesh(&mut |done, all| {
         bar.set_length(all.into());
         bar.set_position(done.into());
     });
     bar.finish_and_clear();
-    let mesh = mesh.context("no mesh.ply")?;
-    itm_io::mesh::write(&out.join("mesh.ply"), &mesh, &MeshOptions::default())?;
+    let mesh = mesh.context("no mesh")?;
+    let options = MeshOptions { up: arguments.up.map(UpAxis::from) };
+    for format in &arguments.mesh_format {
+        itm_io::mesh::write(&out.join(format.file_name()), &mesh, &options)?;
+    }
     Ok((mesh, started.elapsed().as_secs_f64()))
 }
 
@@ -437,7 +490,10 @@ impl Log {
                     self.say(index as u64, format!("skipped: {reason}"));
                     self.timings.skipped(index).context("cannot write timings.csv")
                 }
-                Event::Finished(summary) => return Ok(summary),
+                Event::Finished(summary) => {
+                    summary.reports.iter().for_each(|report| self.tell_notices(report));
+                    return Ok(summary);
+                }
             };
             bar.inc(1);
             if let Err(error) = kept
@@ -478,9 +534,15 @@ impl Log {
             }
             _ => {}
         }
-        // A full map says so each frame; once is enough.
+        if let Some(report) = &result.report {
+            self.tell_notices(report);
+        }
+    }
+
+    /// A full map says so each frame; once is enough.
+    fn tell_notices(&mut self, report: &FrameReport) {
         let mut full = false;
-        for notice in &result.notices {
+        for notice in &report.notices {
             let known = match notice {
                 Notice::Waiting { .. } => {
                     full = true;
@@ -489,12 +551,10 @@ impl Log {
                 Notice::Dropped { .. } => std::mem::replace(&mut self.dropped, true),
             };
             if !known {
-                self.say(result.index, notice.to_string());
+                self.say(report.index, notice.to_string());
             }
         }
-        if result.report.is_some() {
-            self.full = full;
-        }
+        self.full = full;
     }
 
     fn say(&mut self, frame: u64, text: String) {
@@ -523,6 +583,7 @@ impl Log {
             FrameStatus::Tracked => "tracked",
             FrameStatus::Lost { .. } => "LOST",
             FrameStatus::NoPose => "no pose",
+            FrameStatus::NoDepth => "no depth",
         };
         format!("· {rate:.1} frames/s · {status} · {} of {capacity} blocks", self.blocks)
     }

@@ -67,6 +67,7 @@ impl<W: Write> Timings<W> {
                 FrameStatus::Tracked => "tracked",
                 FrameStatus::Lost { .. } => "lost",
                 FrameStatus::NoPose => "no-pose",
+                FrameStatus::NoDepth => "no-depth",
             },
             total_ms: Some(total_ms),
             ..Row::default()
@@ -176,7 +177,6 @@ mod tests {
             fused: posed,
             track_ms: 0.0,
             report,
-            notices: vec![],
         }
     }
 

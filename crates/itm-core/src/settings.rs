@@ -267,9 +267,9 @@ impl Settings {
         check(view.bilateral.passes <= 32, "view.bilateral.passes", "at most 32", view.bilateral.passes)?;
         check(in_range(map.voxel_size_m, 1e-4, 10.0), "map.voxel_size_m", "between 0.0001 and 10", map.voxel_size_m)?;
         check(
-            map.truncation_m.is_finite() && map.truncation_m >= map.voxel_size_m,
+            in_range(map.truncation_m, map.voxel_size_m, 100.0),
             "map.truncation_m",
-            "at least map.voxel_size_m",
+            "between map.voxel_size_m and 100",
             map.truncation_m,
         )?;
         check(map.max_weight >= 1, "map.max_weight", "at least 1", map.max_weight)?;
@@ -350,6 +350,7 @@ mod tests {
             "map.voxel_size_m=0.0",
             "map.voxel_size_m=nan",
             "map.truncation_m=0.001",
+            "map.truncation_m=1e8",
             "view.max_depth_m=0.1",
             "view.min_depth_m=-1.0",
             "tracker.icp.levels=rx",

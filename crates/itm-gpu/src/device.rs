@@ -79,7 +79,8 @@ impl Capabilities {
     fn new(limits: &wgpu::Limits, kind: AdapterKind, timestamps: bool) -> Self {
         Self {
             software: kind == AdapterKind::Software,
-            max_binding_bytes: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
+            // Shaders count bytes, and words, in 32 bits.
+            max_binding_bytes: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size).min(1 << 31),
             max_pages: limits
                 .max_storage_buffers_per_shader_stage
                 .saturating_sub(RAYCAST_OTHER_BUFFERS)

@@ -67,6 +67,29 @@ pub enum Error {
         /// What the device's largest buffer can index.
         limit: u64,
     },
+    /// A view further from the origin than a block's 16 bits an axis reach.
+    #[error(
+        "a camera at {position_m:.1?} m sees further than the map reaches: {reach_m:.0} m from its origin at a voxel size of \
+         {voxel_size_m} m. Give poses relative to a point of the scene, or raise map.voxel_size_m"
+    )]
+    OutOfReach {
+        /// The camera's centre (world frame).
+        position_m: [f64; 3],
+        /// How far the map reaches along each axis.
+        reach_m: f64,
+        /// Edge of a voxel.
+        voxel_size_m: f32,
+    },
+    /// An image larger than a buffer of the device.
+    #[error("an image of {width}x{height} pixels needs more than the {limit} bytes that this device's buffers hold")]
+    ImageTooLarge {
+        /// Width in pixels.
+        width: u32,
+        /// Height in pixels.
+        height: u32,
+        /// Bytes of the largest buffer.
+        limit: u64,
+    },
     /// An image whose size is not the calibration's.
     #[error("the {image} image has {}x{} pixels, the calibration says {}x{}", found.0, found.1, expected.0, expected.1)]
     ImageSize {

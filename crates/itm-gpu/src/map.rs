@@ -44,7 +44,7 @@ pub struct MapLayout {
 
 /// Voxel blocks and what finds them: planes of voxels in pages, a table of keys, a hash of block indices, a grid of block
 /// indices around the current view, lists of free, waiting and visible blocks.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct BlockMap {
     device: Device,
     layout: MapLayout,
@@ -98,7 +98,7 @@ pub struct FrameRecord {
     pub allocated: u32,
     /// Requests that wait for room.
     pub pending: u32,
-    /// Requests dropped so far, because even the waiting list was full.
+    /// Requests dropped, because even the waiting list was full.
     pub dropped: u32,
     /// Blocks removed since the hash was rebuilt.
     pub tombstones: u32,
@@ -213,14 +213,29 @@ impl BlockMap {
     /// Makes room for `blocks` blocks, up to [`BlockMap::max_capacity`]. What the map holds stays; block indices too.
     ///
     /// # Errors
-    /// Where the device has run out of memory.
+    /// Where the device has no memory left; the map is as it was then, and can be used on.
     pub fn grow(&mut self, blocks: u32) -> Result<(), Error> {
         let blocks = blocks.clamp(1, self.max_capacity());
         if blocks <= self.capacity {
             return Ok(());
         }
+        // On a copy (of handles): it takes the map's place only once everything has found memory.
+        let mut grown = self.clone();
+        let mut recorder = Recorder::new(&self.device);
+        let scope = self.device.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        grown.make_larger(&mut recorder, blocks);
+        if let Some(error) = pollster::block_on(scope.pop()) {
+            return Err(Error::OutOfMemory { reason: error.to_string() });
+        }
+        let _untimed = recorder.submit();
+        *self = grown;
+        // So that the copies' sources are freed before anything else is made.
+        self.device.wait()
+    }
+
+    /// Replaces every buffer whose size follows the capacity, and records the copies.
+    fn make_larger(&mut self, recorder: &mut Recorder, blocks: u32) {
         let device = self.device.clone();
-        let mut recorder = Recorder::new(&device);
         let mut replace = |buffer: &mut wgpu::Buffer, label: &str, bytes: u64, kept: u64| {
             let grown = device.storage(label, bytes);
             if kept > 0 {
@@ -261,12 +276,9 @@ impl BlockMap {
             self.hash = device.storage("hash", u64::from(slots) * 4);
             self.hash_slots = slots;
             self.capacity = blocks;
-            crate::hash::Hash::new(&device).rebuild(&mut recorder, self);
+            crate::hash::Hash::new(&device).rebuild(recorder, self);
         }
         self.capacity = blocks;
-        let _untimed = recorder.submit();
-        // So that the copies' sources are freed before anything else is made.
-        device.wait()
     }
 
     /// Appends blocks with their voxels, growing where needed, and rebuilds the hash: better many blocks at once than
@@ -319,7 +331,8 @@ impl BlockMap {
     /// farthest depth, and `margin_m` around them. The grid is empty until `allocate` has filled it.
     ///
     /// # Errors
-    /// Where the view reaches over more blocks than the device can index.
+    /// Where the view reaches over more blocks than the device can index, or lies further from the origin than blocks can
+    /// be numbered.
     pub fn lay_grid(
         &mut self,
         camera: &Intrinsics,
@@ -329,31 +342,59 @@ impl BlockMap {
     ) -> Result<(), Error> {
         let mut lower = world_from_camera.translation;
         let mut upper = lower;
-        for (x, y) in [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)] {
-            let (w, h) = (f64::from(camera.width), f64::from(camera.height));
-            let pixel = glam::DVec2::new((w - 1.0) * 0.5 + x * w, (h - 1.0) * 0.5 + y * h);
-            let corner = world_from_camera.transform_point(camera.unproject(pixel, f64::from(max_depth_m + margin_m)));
+        for corner in frustum_corners(camera, max_depth_m + margin_m) {
+            let corner = world_from_camera.transform_point(corner);
             lower = lower.min(corner);
             upper = upper.max(corner);
         }
         let block = f64::from(self.layout.voxel_size_m) * f64::from(BLOCK_SIDE);
         let margin = DVec3::splat(f64::from(margin_m) + block);
-        let first = ((lower - margin) / block).floor().as_ivec3();
-        let last = ((upper + margin) / block).floor().as_ivec3();
-        let size = (last - first + IVec3::ONE).as_u64vec3();
-        let cells = size.x.saturating_mul(size.y).saturating_mul(size.z);
-        let limit = self.device.capabilities().max_binding_bytes / 4;
-        if cells > limit {
-            let voxel_size_m = self.layout.voxel_size_m;
-            return Err(Error::ViewTooLarge { max_depth_m, voxel_size_m, cells, limit });
+        let (first, last) = (((lower - margin) / block).floor(), ((upper + margin) / block).floor());
+        let size = last - first + 1.0;
+        self.check_cells(size.x * size.y * size.z, max_depth_m)?;
+        // A block's position has 16 bits along each axis.
+        let reach = f64::from(i16::MAX);
+        if !(first.min_element() >= -reach && last.max_element() <= reach) {
+            let position = world_from_camera.translation;
+            return Err(Error::OutOfReach {
+                position_m: position.to_array(),
+                reach_m: reach * block,
+                voxel_size_m: self.layout.voxel_size_m,
+            });
         }
+        let (first, size) = (first.as_ivec3(), size.as_uvec3());
+        let cells = u64::from(size.x) * u64::from(size.y) * u64::from(size.z);
         self.grid_origin = first;
-        self.grid_size = size.as_uvec3();
+        self.grid_size = size;
         let words = cells.div_ceil(32);
         self.device.ensure(&mut self.grid, "grid", cells * 4);
         self.device.ensure(&mut self.requests, "requests", words * 4);
         self.device.ensure(&mut self.request_counts, "request counts", words.div_ceil(32) * 4);
         Ok(())
+    }
+
+    /// Checks that the grid around a camera's view fits the device however the camera turns.
+    ///
+    /// # Errors
+    /// Where it may not.
+    pub fn check_view(&self, camera: &Intrinsics, max_depth_m: f32, margin_m: f32) -> Result<(), Error> {
+        // No box around the view is wider than its two points that are furthest apart.
+        let corners = frustum_corners(camera, max_depth_m + margin_m);
+        let ends = corners.iter().chain([&DVec3::ZERO]);
+        let widest = ends.flat_map(|a| corners.iter().map(|b| a.distance(*b))).fold(0.0, f64::max);
+        let block = f64::from(self.layout.voxel_size_m) * f64::from(BLOCK_SIDE);
+        let side = (widest + 2.0 * f64::from(margin_m)) / block + 4.0;
+        self.check_cells(side.powi(3), max_depth_m)
+    }
+
+    fn check_cells(&self, cells: f64, max_depth_m: f32) -> Result<(), Error> {
+        let limit = self.device.capabilities().max_binding_bytes / 4;
+        // Also refused: what is not a number.
+        if cells <= limit as f64 {
+            return Ok(());
+        }
+        let voxel_size_m = self.layout.voxel_size_m;
+        Err(Error::ViewTooLarge { max_depth_m, voxel_size_m, cells: cells as u64, limit })
     }
 
     /// Cells of the grid as it lies now.
@@ -427,6 +468,12 @@ impl BlockMap {
         let in_page = block & ((1 << self.page_shift) - 1);
         self.device.read(&pages[(block >> self.page_shift) as usize], u64::from(in_page) * BLOCK_BYTES, BLOCK_BYTES)
     }
+}
+
+/// What the image's four corners see at a depth (camera frame, metres).
+fn frustum_corners(camera: &Intrinsics, depth_m: f32) -> [DVec3; 4] {
+    let (w, h) = (f64::from(camera.width) - 0.5, f64::from(camera.height) - 0.5);
+    [(-0.5, -0.5), (w, -0.5), (w, h), (-0.5, h)].map(|(x, y)| camera.unproject(glam::DVec2::new(x, y), depth_m.into()))
 }
 
 /// A camera as shaders see it.

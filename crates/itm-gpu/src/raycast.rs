@@ -21,15 +21,22 @@ pub struct RaycastImage {
 
 impl RaycastImage {
     /// An image for a camera, empty until it is recorded.
-    pub fn new(device: &Device, camera: Intrinsics) -> Self {
+    ///
+    /// # Errors
+    /// Where the device's buffers are too small for it.
+    pub fn new(device: &Device, camera: Intrinsics) -> Result<Self, Error> {
         let [width, height] = range_size(&camera);
         let bytes = camera.pixels() as u64 * 16;
-        Self {
+        let limit = device.capabilities().max_binding_bytes;
+        if bytes > limit {
+            return Err(Error::ImageTooLarge { width: camera.width, height: camera.height, limit });
+        }
+        Ok(Self {
             camera,
             ranges: device.storage("ranges", u64::from(width) * u64::from(height) * 8),
             points: device.storage("points", bytes),
             normals: device.storage("normals", bytes),
-        }
+        })
     }
 
     /// The camera.

@@ -71,6 +71,8 @@ pub struct TumWriter {
     path: PathBuf,
     time: TimeColumn,
     row: String,
+    /// Bytes of the rows written so far.
+    whole_rows: u64,
 }
 
 impl TumWriter {
@@ -80,7 +82,7 @@ impl TumWriter {
     /// Where the file cannot be created or written.
     pub fn create(path: &Path, time: TimeColumn) -> Result<Self, Error> {
         let file = File::create(path).map_err(|e| Error::io("create", path, e))?;
-        let mut writer = Self { file, path: path.to_path_buf(), time, row: String::new() };
+        let mut writer = Self { file, path: path.to_path_buf(), time, row: String::new(), whole_rows: 0 };
         writer.row.push_str(match time {
             TimeColumn::Seconds => "# timestamp tx ty tz qx qy qz qw\n",
             TimeColumn::FrameNumber => "# frame tx ty tz qx qy qz qw\n",
@@ -117,7 +119,14 @@ impl TumWriter {
 
     /// One call for the whole row, so that no half row stays behind.
     fn write_row(&mut self) -> Result<(), Error> {
-        self.file.write_all(self.row.as_bytes()).map_err(|e| Error::io("write", &self.path, e))
+        let written = self.file.write_all(self.row.as_bytes());
+        if written.is_err() {
+            // A full disk may have taken the row's first bytes. Where even that can't be undone, the first error tells.
+            let _ = self.file.set_len(self.whole_rows);
+        } else {
+            self.whole_rows += self.row.len() as u64;
+        }
+        written.map_err(|e| Error::io("write", &self.path, e))
     }
 }
 

@@ -15,7 +15,7 @@ use itm_gpu::{
 
 /// A frame's record is consumed at this many frames later, whenever it arrived, so that growth happens at the same frame
 /// in every run.
-const RECORD_DELAY: usize = 2;
+const RECORD_DELAY: u64 = 2;
 
 /// The map and the stages that fill and show it.
 pub(crate) struct Mapper {
@@ -34,9 +34,16 @@ pub(crate) struct Mapper {
     demand: u32,
     /// Whether nothing has been fused yet.
     empty: bool,
+    /// Frames that have come so far. (A frame's own index is the caller's, and may start and jump as it likes.)
+    frames: u64,
+    /// Blocks that the map may grow to.
+    limit: u32,
 }
 
 struct Waiting {
+    /// The frame's place among those that came.
+    place: u64,
+    /// The frame's own index.
     frame: u64,
     record: RecordReader,
     times: Vec<StageTimes>,
@@ -56,13 +63,18 @@ impl Mapper {
             truncation_m: settings.map.truncation_m,
             colour: settings.map.colour && settings.view.colour,
         };
-        let limit = settings.map.max_blocks;
-        let initial = if limit == 0 { settings.map.initial_blocks } else { settings.map.initial_blocks.min(limit) };
+        let mut map = BlockMap::new(device, layout, 1)?;
+        let limit = match settings.map.max_blocks {
+            0 => map.max_capacity(),
+            limit => limit.min(map.max_capacity()),
+        };
+        map.grow(settings.map.initial_blocks.min(limit))?;
+        map.check_view(&calibration.depth, settings.view.max_depth_m, settings.map.truncation_m)?;
         Ok(Self {
             device: device.clone(),
             calibration: *calibration,
             settings: settings.clone(),
-            map: BlockMap::new(device, layout, initial)?,
+            map,
             allocate: Allocate::new(device),
             visible: Visible::new(device),
             integrate: Integrate::new(device),
@@ -72,14 +84,20 @@ impl Mapper {
             waiting: VecDeque::new(),
             demand: 0,
             empty: true,
+            frames: 0,
+            limit,
         })
     }
 
     /// Takes over what an earlier frame's record says. Called once a frame, before anything is allocated.
-    pub(crate) fn consume(&mut self, frame: u64) -> Result<Option<Late>, Error> {
-        let due = self.waiting.front().is_some_and(|w| w.frame + RECORD_DELAY as u64 <= frame);
+    pub(crate) fn consume(&mut self) -> Result<Option<Late>, Error> {
+        self.frames += 1;
+        let due = self.waiting.front().is_some_and(|w| w.place + RECORD_DELAY <= self.frames);
         let Some(waiting) = due.then(|| self.waiting.pop_front()).flatten() else { return Ok(None) };
-        self.take(waiting).map(Some)
+        let late = self.take(waiting)?;
+        self.demand = late.record.requested.max(self.demand - self.demand / 8);
+        self.make_room(&late.record)?;
+        Ok(Some(late))
     }
 
     /// Everything that has not been consumed yet, at the end of a run.
@@ -94,32 +112,39 @@ impl Mapper {
         for times in waiting.times {
             stage_ms.extend(times.read(&self.device)?);
         }
-        self.make_room(&record)?;
         Ok(Late { frame: waiting.frame, record, stage_ms })
+    }
+
+    /// Whether the map holds all the blocks that it may.
+    pub(crate) fn is_full(&self, record: &FrameRecord) -> bool {
+        self.map.capacity() >= self.limit && record.blocks - record.free_blocks >= self.limit
     }
 
     /// Grows the pools so that the frames until the next record find room, as far as limits allow.
     fn make_room(&mut self, record: &FrameRecord) -> Result<(), Error> {
-        self.demand = record.requested.max(self.demand - self.demand / 8);
         let used = record.blocks - record.free_blocks;
         // Requests of the frames since, of this one and of the next, with as much again to spare.
-        let needed = used + record.pending + self.demand.saturating_mul(2 * (RECORD_DELAY as u32 + 1));
-        if needed > self.map.capacity() {
-            let limit = match self.settings.map.max_blocks {
-                0 => self.map.max_capacity(),
-                limit => limit.min(self.map.max_capacity()),
-            };
-            let wanted = needed.max(self.map.capacity() + self.map.capacity() / 4).min(limit);
-            if wanted > self.map.capacity() {
-                tracing::debug!(from = self.map.capacity(), to = wanted, "the block pools grow");
-                self.map.grow(wanted)?;
-            }
+        let spare = self.demand.saturating_mul(2 * (RECORD_DELAY as u32 + 1));
+        let needed = used.saturating_add(record.pending).saturating_add(spare);
+        let capacity = self.map.capacity();
+        if needed <= capacity || capacity >= self.limit {
+            return Ok(());
         }
-        Ok(())
+        let wanted = needed.max(capacity + capacity / 4).min(self.limit);
+        tracing::debug!(from = capacity, to = wanted, "the block pools grow");
+        match self.map.grow(wanted) {
+            Err(Error::OutOfMemory { reason }) => {
+                // The map goes on as large as it is; frames say what finds no room.
+                tracing::warn!(capacity, reason, "the map cannot grow: the device has no memory left");
+                self.limit = capacity;
+                Ok(())
+            }
+            grown => grown,
+        }
     }
 
     /// Fuses a view into the map, and casts the map into `model` for the next frame's tracking. `times` are those of the
-    /// frame's earlier stages.
+    /// frame's earlier stages. Returns whether there is a map: a view without depth cannot begin one.
     pub(crate) fn fuse(
         &mut self,
         frame: u64,
@@ -127,18 +152,23 @@ impl Mapper {
         world_from_camera: &Se3,
         model: &RaycastImage,
         mut times: Vec<StageTimes>,
-    ) -> Result<(), Error> {
+    ) -> Result<bool, Error> {
         let camera = self.calibration.depth;
         let [near_m, far_m] = [self.settings.view.min_depth_m, self.settings.view.max_depth_m];
         let truncation_m = self.settings.map.truncation_m;
         self.map.lay_grid(&camera, world_from_camera, far_m, truncation_m)?;
         if self.empty {
             // The first frame asks for more blocks than any other. Nothing waits for it yet, so room is made at once.
-            self.empty = false;
             let mut recorder = Recorder::new(&self.device);
             self.allocate.record(&mut recorder, &self.map, view, world_from_camera);
             let _untimed = recorder.submit();
             let record = self.map.read_record()?;
+            if record.requested == 0 {
+                return Ok(false);
+            }
+            self.empty = false;
+            // Later frames see mostly what this one has seen.
+            self.demand = record.requested / 8;
             self.make_room(&record)?;
         }
         let mut recorder = Recorder::timed(&self.device);
@@ -156,8 +186,8 @@ impl Mapper {
         self.normals.record(&mut recorder, model, world_from_camera);
         let record = self.map.record_counters(&mut recorder);
         times.push(recorder.submit());
-        self.waiting.push_back(Waiting { frame, record, times });
-        Ok(())
+        self.waiting.push_back(Waiting { place: self.frames, frame, record, times });
+        Ok(true)
     }
 
     /// Casts the map as a camera sees it from a pose, up to a depth. The next frame's fusion is not affected.
@@ -167,7 +197,7 @@ impl Mapper {
         world_from_camera: &Se3,
         max_depth_m: f32,
     ) -> Result<RaycastImage, Error> {
-        let image = RaycastImage::new(&self.device, *camera);
+        let image = RaycastImage::new(&self.device, *camera)?;
         self.map.lay_grid(camera, world_from_camera, max_depth_m, 0.0)?;
         let mut recorder = Recorder::new(&self.device);
         self.allocate.fill_grid(&mut recorder, &self.map);

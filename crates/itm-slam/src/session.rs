@@ -23,6 +23,7 @@ pub struct SessionOptions {
 
 /// What happens in a run, in order.
 #[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "an event is moved once, and nearly all of them are frames")]
 pub enum Event {
     /// A frame was processed.
     Frame {

@@ -33,8 +33,10 @@ pub enum FrameStatus {
         /// In words and numbers.
         reason: String,
     },
-    /// Poses are given, but this frame has none.
+    /// Poses are given, but this frame has none (or one that is not finite).
     NoPose,
+    /// There is no map yet, and this frame has no depth to begin one with.
+    NoDepth,
 }
 
 /// Something that a user should know.
@@ -49,7 +51,7 @@ pub enum Notice {
     },
     /// New blocks found no room, and none to wait in either: parts of the scene are missing.
     Dropped {
-        /// How many, since the start.
+        /// How many, in one frame.
         blocks: u32,
     },
 }
@@ -60,7 +62,9 @@ impl std::fmt::Display for Notice {
             Self::Waiting { blocks, capacity } => {
                 write!(f, "the map is full at {capacity} blocks: {blocks} new ones wait for room")
             }
-            Self::Dropped { blocks } => write!(f, "the map is full: {blocks} new blocks were dropped since the start"),
+            Self::Dropped { blocks } => {
+                write!(f, "the map is full: {blocks} new blocks were dropped, with no room to wait in")
+            }
         }
     }
 }
@@ -74,6 +78,8 @@ pub struct FrameReport {
     pub record: FrameRecord,
     /// Milliseconds on the device of each stage, in the order of the pipeline; empty where the device has no clock.
     pub stage_ms: Vec<(&'static str, f64)>,
+    /// What a user should know of that frame.
+    pub notices: Vec<Notice>,
 }
 
 /// What [`Slam::process`] found.
@@ -95,8 +101,6 @@ pub struct FrameResult {
     pub track_ms: f64,
     /// What has become known of an earlier frame.
     pub report: Option<FrameReport>,
-    /// What a user should know.
-    pub notices: Vec<Notice>,
 }
 
 /// Reconstruction from a stream of frames.
@@ -116,7 +120,6 @@ pub struct Slam {
     model: RaycastImage,
     world_from_model: Option<Se3>,
     trajectory: Trajectory,
-    dropped: u32,
 }
 
 impl std::fmt::Debug for Slam {
@@ -155,10 +158,9 @@ impl Slam {
             mapper: Mapper::new(device, calibration, settings)?,
             render: Render::new(device),
             extract: Extract::new(device),
-            model: RaycastImage::new(device, calibration.depth),
+            model: RaycastImage::new(device, calibration.depth)?,
             world_from_model: None,
             trajectory: Trajectory::default(),
-            dropped: 0,
         })
     }
 
@@ -194,8 +196,6 @@ impl Slam {
     /// is no error but a status.
     pub fn process(&mut self, frame: &Frame) -> Result<FrameResult, Error> {
         let _span = tracing::info_span!("frame", index = frame.index).entered();
-        let report = self.mapper.consume(frame.index)?;
-
         let mut recorder = Recorder::timed(&self.device);
         let colourless;
         let frame_used = if self.settings.view.colour || frame.colour.is_none() {
@@ -206,22 +206,25 @@ impl Slam {
         };
         self.view_stage.record(&mut recorder, &mut self.view, frame_used, &self.view_options)?;
         let view_times = recorder.submit();
+        let report = self.mapper.consume()?.map(|late| self.report(late));
 
         let started = std::time::Instant::now();
-        let (status, tracked, pose) = self.locate(frame)?;
+        let (mut status, tracked, pose) = self.locate(frame)?;
         let track_ms = started.elapsed().as_secs_f64() * 1e3;
 
-        let fuse_at = match (&status, self.settings.tracker.on_failure) {
+        let mut fuse_at = match (&status, self.settings.tracker.on_failure) {
             (FrameStatus::Lost { .. }, OnFailure::Ignore) => self.world_from_model,
             _ => pose,
         };
         if let Some(world_from_camera) = fuse_at {
-            self.mapper.fuse(frame.index, &self.view, &world_from_camera, &self.model, vec![view_times])?;
-            self.world_from_model = Some(world_from_camera);
-            self.trajectory.push(StampedPose { timestamp: frame.timestamp, world_from_camera });
+            if self.mapper.fuse(frame.index, &self.view, &world_from_camera, &self.model, vec![view_times])? {
+                self.world_from_model = Some(world_from_camera);
+                self.trajectory.push(StampedPose { timestamp: frame.timestamp, world_from_camera });
+            } else {
+                status = FrameStatus::NoDepth;
+                fuse_at = None;
+            }
         }
-        let report = report.map(|late| self.report(late));
-        let notices = report.as_ref().map_or_else(Vec::new, |r| self.notices(&r.record));
         Ok(FrameResult {
             index: frame.index,
             timestamp: frame.timestamp,
@@ -231,14 +234,13 @@ impl Slam {
             fused: fuse_at.is_some(),
             track_ms,
             report,
-            notices,
         })
     }
 
     /// Where the frame's camera is.
     fn locate(&mut self, frame: &Frame) -> Result<(FrameStatus, Option<Tracked>, Option<Se3>), Error> {
         if self.poses == Poses::Given {
-            let pose = frame.world_from_camera;
+            let pose = frame.world_from_camera.filter(Se3::is_finite);
             return Ok((if pose.is_some() { FrameStatus::Placed } else { FrameStatus::NoPose }, None, pose));
         }
         let Some(world_from_model) = self.world_from_model else {
@@ -255,19 +257,16 @@ impl Slam {
     }
 
     fn report(&self, late: Late) -> FrameReport {
-        FrameReport { index: late.frame, record: late.record, stage_ms: late.stage_ms }
-    }
-
-    fn notices(&mut self, record: &FrameRecord) -> Vec<Notice> {
+        let Late { frame, record, stage_ms } = late;
         let mut notices = Vec::new();
-        if record.pending > 0 {
+        // What waits although there is room gets it as soon as it is seen again.
+        if record.pending > 0 && self.mapper.is_full(&record) {
             notices.push(Notice::Waiting { blocks: record.pending, capacity: self.mapper.map.capacity() });
         }
-        if record.dropped > self.dropped {
-            self.dropped = record.dropped;
+        if record.dropped > 0 {
             notices.push(Notice::Dropped { blocks: record.dropped });
         }
-        notices
+        FrameReport { index: frame, record, stage_ms, notices }
     }
 
     /// The reports that are still due, when no more frames come.
