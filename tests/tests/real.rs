@@ -1,5 +1,7 @@
 //! Whole runs on real recordings, where the environment variable `ITM_TEST_DATA` names a folder of them.
 
+#![allow(clippy::print_stdout, reason = "the figures are what these tests are for")]
+
 use itm_io::recording::{OpenOptions, open};
 use itm_slam::evaluation::{DEFAULT_TOLERANCE_NS, evaluate};
 use itm_slam::{Poses, Settings};

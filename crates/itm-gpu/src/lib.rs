@@ -5,7 +5,7 @@
 //! when to grow a pool, which pose to try next, what to do after a failure, is itm-slam's business.
 //!
 //! A stage has one name everywhere: its shader, its module here, its pipelines' labels, its CPU reference in
-//! [`reference`](crate::reference), its tests and its column in the timings.
+//! [`mod@reference`], its tests and its column in the timings.
 
 pub mod allocate;
 mod device;

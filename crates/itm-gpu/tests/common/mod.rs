@@ -310,7 +310,7 @@ impl Fusion {
     pub(crate) fn cast(&mut self, gpu: &Gpu, camera: Intrinsics, world_from_camera: &Se3) -> RaycastImage {
         let margin_m = self.map.layout().truncation_m;
         self.map.lay_grid(&camera, world_from_camera, RANGE_M[1], margin_m).expect("a small view fits");
-        let image = RaycastImage::new(&gpu.device, camera).unwrap();
+        let image = RaycastImage::new(&gpu.device, camera).expect("a small image");
         let mut recorder = Recorder::new(&gpu.device);
         gpu.allocate.fill_grid(&mut recorder, &self.map);
         gpu.visible.record(&mut recorder, &self.map, &camera, world_from_camera, RANGE_M[0], RANGE_M[1]);
