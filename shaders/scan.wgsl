@@ -1,5 +1,5 @@
-// Exclusive prefix sum over `count` numbers, in place, by one workgroup. The total goes to counters[total_slot] and,
-// divided by `divisor` and rounded up, into the indirect dispatch that starts at indirect[indirect_slot].
+// Exclusive prefix sum over `count` numbers, in place, by one workgroup. The total goes to `counters[total_slot]` and,
+// divided by `divisor` and rounded up, into the indirect dispatch that starts at `indirect[indirect_slot]`.
 
 struct Params {
     count: u32,

@@ -182,7 +182,7 @@ mod tests {
 
     fn report(index: u64) -> Option<FrameReport> {
         let record = FrameRecord { blocks: 30, free_blocks: 10, visible: 7, ..FrameRecord::default() };
-        Some(FrameReport { index, record, stage_ms: vec![("view", 1.5), ("raycast", 2.0)] })
+        Some(FrameReport { index, record, stage_ms: vec![("view", 1.5), ("raycast", 2.0)], notices: Vec::new() })
     }
 
     fn lost() -> FrameStatus {
