@@ -19,7 +19,6 @@ const PENDING: u32 = 5u;
 const FRAGMENTS: u32 = 6u;
 const DROPPED: u32 = 7u;
 const TOMBSTONES: u32 = 8u;
-const SCRATCH: u32 = 9u;
 
 struct Map {
     // First block that the grid covers, and how many along each axis.
