@@ -15,7 +15,8 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> ranges: array<u32>;
-// World coordinates in metres, and one plus the smallest weight of the eight voxels around; all zero where the ray hits nothing.
+// World coordinates in metres, and one plus the smallest weight of the eight voxels around the place from which the last
+// refining step led there; all zero where the ray hits nothing.
 @group(0) @binding(2) var<storage, read_write> points: array<vec4<f32>>;
 
 // A hit's distance from the surface, in truncation bands, is at most this.

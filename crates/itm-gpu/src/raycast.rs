@@ -44,7 +44,8 @@ impl RaycastImage {
         &self.camera
     }
 
-    /// Reads the points back: world coordinates in metres, and one plus the smallest weight of the eight voxels around;
+    /// Reads the points back: world coordinates in metres, and one plus the smallest weight of the eight voxels around
+    /// (around the place from which the last refining step led there);
     /// all zero where a ray hits nothing. Waits. For tests, exports and pictures.
     ///
     /// # Errors
