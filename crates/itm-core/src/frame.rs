@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::{ColourImage, Image, Se3};
@@ -50,6 +51,15 @@ impl DepthImage {
     }
 }
 
+/// A gyroscope's reading.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AngularRate {
+    /// When, by the depth camera's clock.
+    pub timestamp: Timestamp,
+    /// Angular velocity in rad/s, in the sensor's axes.
+    pub rad_per_s: DVec3,
+}
+
 /// What a camera delivers at one moment: depth, perhaps colour, and a pose where the recording knows one.
 #[derive(Clone, Debug)]
 pub struct Frame {
@@ -61,8 +71,38 @@ pub struct Frame {
     pub depth: DepthImage,
     /// Colour, where there is any. It may have another size than depth.
     pub colour: Option<ColourImage>,
+    /// When the colour image was taken, by the same clock; `None` where the recording does not say, which counts as at the
+    /// same time as depth.
+    pub colour_timestamp: Option<Timestamp>,
     /// The recording's own pose of the depth camera, where it has one.
     pub world_from_camera: Option<Se3>,
+    /// A gyroscope's readings since the frame before, in the order of time, where there is such a sensor.
+    pub gyroscope: Vec<AngularRate>,
+    /// The orientation that an inertial sensor gives, where there is one: takes the sensor's directions to those of a fixed
+    /// frame.
+    pub imu_orientation: Option<DQuat>,
+}
+
+impl Frame {
+    /// A frame of depth, and colour if any, with nothing else known.
+    pub fn new(index: u64, timestamp: Timestamp, depth: DepthImage, colour: Option<ColourImage>) -> Self {
+        Self {
+            index,
+            timestamp,
+            depth,
+            colour,
+            colour_timestamp: None,
+            world_from_camera: None,
+            gyroscope: Vec::new(),
+            imu_orientation: None,
+        }
+    }
+
+    /// The same at a pose.
+    pub fn at_pose(mut self, world_from_camera: Se3) -> Self {
+        self.world_from_camera = Some(world_from_camera);
+        self
+    }
 }
 
 #[cfg(test)]

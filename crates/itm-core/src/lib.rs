@@ -21,7 +21,7 @@ pub mod voxel;
 
 pub use calibration::{Calibration, CalibrationError, DepthConversion};
 pub use camera::Intrinsics;
-pub use frame::{DepthImage, Frame, Timestamp};
+pub use frame::{AngularRate, DepthImage, Frame, Timestamp};
 pub use image::{ColourImage, Image, ImageSizeError};
 pub use mesh::Mesh;
 pub use se3::{PoseError, Se3};

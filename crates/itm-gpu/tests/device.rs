@@ -47,13 +47,7 @@ fn a_hosts_own_device_runs_the_stages() {
     let options =
         ViewOptions { depth_range_m: [0.2, 3.0], bilateral_passes: 0, levels: 1, vertices: false, intensity_levels: 0 };
     let mut view = View::new(&shared, &calibration, &options);
-    let frame = Frame {
-        index: 0,
-        timestamp: Timestamp(0),
-        depth: DepthImage::Raw(Image::filled(5, 3, 1500)),
-        colour: None,
-        world_from_camera: None,
-    };
+    let frame = Frame::new(0, Timestamp(0), DepthImage::Raw(Image::filled(5, 3, 1500)), None);
     let mut recorder = Recorder::new(&shared);
     ViewStage::new(&shared).record(&mut recorder, &mut view, &frame, &options).unwrap();
     let _untimed = recorder.submit();

@@ -83,13 +83,7 @@ proptest! {
             }
         });
         let everything = reference::view::convert_depth(&raw, conversion, focal_x, [f32::MIN, f32::MAX]);
-        let frame = Frame {
-            index: 0,
-            timestamp: Timestamp(0),
-            depth: DepthImage::Raw(raw),
-            colour: None,
-            world_from_camera: None,
-        };
+        let frame = Frame::new(0, Timestamp(0), DepthImage::Raw(raw), None);
         let view = run(device, &calibration, &frame, &OPTIONS);
         let metres = view.read_depth(device, 0).unwrap();
         for (found, exact) in metres.data().iter().zip(everything.data()) {

@@ -651,13 +651,7 @@ impl Recording for Counting {
     fn read(&mut self, index: usize) -> Result<Frame, Error> {
         assert!(index != 13, "unlucky");
         self.reads.fetch_add(1, Ordering::SeqCst);
-        Ok(Frame {
-            index: index as u64,
-            timestamp: Timestamp(0),
-            depth: DepthImage::Raw(Image::from_fn(1, 1, |_, _| 1)),
-            colour: None,
-            world_from_camera: None,
-        })
+        Ok(Frame::new(index as u64, Timestamp(0), DepthImage::Raw(Image::from_fn(1, 1, |_, _| 1)), None))
     }
 }
 

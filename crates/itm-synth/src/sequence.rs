@@ -171,13 +171,8 @@ impl Sequence {
                 render(&self.scene, &camera, &world_from_camera, self.spec.quality);
             (self.sense(depth, &normals, index), colour)
         };
-        Frame {
-            index: u64::from(index),
-            timestamp: self.timestamp(index),
-            depth: DepthImage::Metres(depth),
-            colour: Some(colour),
-            world_from_camera: Some(world_from_camera),
-        }
+        Frame::new(u64::from(index), self.timestamp(index), DepthImage::Metres(depth), Some(colour))
+            .at_pose(world_from_camera)
     }
 
     /// All frames in order.

@@ -100,8 +100,7 @@ pub(crate) fn camera(width: u32, height: u32) -> Intrinsics {
 
 /// A frame of depth in metres, with colour if any.
 pub(crate) fn frame(depth: Image<f32>, colour: Option<ColourImage>) -> Frame {
-    let depth = DepthImage::Metres(depth);
-    Frame { index: 0, timestamp: Timestamp(0), depth, colour, world_from_camera: None }
+    Frame::new(0, Timestamp(0), DepthImage::Metres(depth), colour)
 }
 
 /// Something whose surface a ray meets in closed form (world frame, metres).

@@ -42,7 +42,13 @@ pub(super) fn list(folder: &Folder) -> Result<Listing, Error> {
         .map(|(number, (depth, colour))| {
             let timestamp = nominal_timestamp(number);
             let pose = ground_truth.as_ref().and_then(|truth| truth.nearest(timestamp, 0));
-            FrameFiles { depth, colour, timestamp, world_from_camera: pose.map(|p| p.world_from_camera) }
+            FrameFiles {
+                depth,
+                colour,
+                timestamp,
+                colour_timestamp: None,
+                world_from_camera: pose.map(|p| p.world_from_camera),
+            }
         })
         .collect();
     Ok(Listing {
@@ -63,7 +69,7 @@ type ImagesByNumber = BTreeMap<u32, (PathBuf, Option<PathBuf>)>;
 fn associated_images(folder: &Folder, path: &Path) -> Result<ImagesByNumber, Error> {
     let mut images = BTreeMap::new();
     for association in tum::read_associations(folder, path)? {
-        let tum::Association { line, time, depth, colour } = association;
+        let tum::Association { line, time, depth, colour, colour_time: _ } = association;
         let number = image_number(time)
             .ok_or_else(|| Error::line(path, line, "an image number in the time column", format!("{time}")))?;
         if images.insert(number, (depth, Some(colour))).is_some() {

@@ -160,6 +160,7 @@ pub(super) fn list(folder: &Folder, options: &OpenOptions) -> Result<Listing, Er
                 None => pattern.path_expected(varying),
             }),
             timestamp: nominal_timestamp(position),
+            colour_timestamp: None,
             world_from_camera: None,
         })
         .collect();

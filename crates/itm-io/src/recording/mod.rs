@@ -267,6 +267,8 @@ struct FrameFiles {
     depth: PathBuf,
     colour: Option<PathBuf>,
     timestamp: Timestamp,
+    /// Of the colour image, where it has one of its own.
+    colour_timestamp: Option<Timestamp>,
     world_from_camera: Option<Se3>,
 }
 
@@ -367,11 +369,9 @@ impl Recording for ImageFiles {
         };
         let (depth, colour) = images().map_err(|reason| Error::Frame { index, reason: Box::new(reason) })?;
         Ok(Frame {
-            index: index as u64,
-            timestamp: files.timestamp,
-            depth: DepthImage::Raw(depth),
-            colour,
+            colour_timestamp: files.colour_timestamp,
             world_from_camera: files.world_from_camera,
+            ..Frame::new(index as u64, files.timestamp, DepthImage::Raw(depth), colour)
         })
     }
 }

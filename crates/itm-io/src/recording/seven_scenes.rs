@@ -68,6 +68,7 @@ fn list_sequence(folder: Folder) -> Result<Listing, Error> {
         .map(|(number, digits)| {
             let file = |suffix: &str| folder.path.join(format!("frame-{digits}{suffix}"));
             FrameFiles {
+                colour_timestamp: None,
                 depth: file(DEPTH_SUFFIX),
                 colour: suffix.map(file),
                 timestamp: nominal_timestamp(number),

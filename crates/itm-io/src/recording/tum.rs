@@ -27,9 +27,10 @@ pub(super) fn associations_file(folder: &Folder) -> Option<PathBuf> {
 
 pub(super) fn list(folder: &Folder) -> Result<Listing, Error> {
     let ground_truth = folder.file("groundtruth.txt").map(|path| trajectory::read_tum(&path)).transpose()?;
-    let frame = |timestamp, depth: PathBuf, colour: Option<PathBuf>| FrameFiles {
+    let frame = |timestamp, depth: PathBuf, colour: Option<(Timestamp, PathBuf)>| FrameFiles {
         depth,
-        colour,
+        colour_timestamp: colour.as_ref().map(|(time, _)| *time),
+        colour: colour.map(|(_, path)| path),
         timestamp,
         world_from_camera: ground_truth
             .as_ref()
@@ -38,7 +39,10 @@ pub(super) fn list(folder: &Folder) -> Result<Listing, Error> {
     };
     let mut depth_without_colour = 0;
     let mut frames: Vec<FrameFiles> = if let Some(path) = associations_file(folder) {
-        read_associations(folder, &path)?.into_iter().map(|a| frame(a.time, a.depth, Some(a.colour))).collect()
+        read_associations(folder, &path)?
+            .into_iter()
+            .map(|a| frame(a.time, a.depth, Some((a.colour_time, a.colour))))
+            .collect()
     } else {
         let depth_list = folder.path.join(DEPTH_LIST);
         let depth = read_list(folder, &depth_list)?;
@@ -52,7 +56,7 @@ pub(super) fn list(folder: &Folder) -> Result<Listing, Error> {
             depth_without_colour = depth.len() - pairs.len();
             let pair = |&(d, c): &(usize, usize)| {
                 let (depth, colour): (&Listed, &Listed) = (&depth[d], &colour[c]);
-                frame(depth.time, depth.path.clone(), Some(colour.path.clone()))
+                frame(depth.time, depth.path.clone(), Some((colour.time, colour.path.clone())))
             };
             pairs.iter().map(pair).collect()
         } else {
@@ -102,6 +106,7 @@ pub(super) struct Association {
     /// Of the depth image.
     pub(super) time: Timestamp,
     pub(super) depth: PathBuf,
+    pub(super) colour_time: Timestamp,
     pub(super) colour: PathBuf,
 }
 
@@ -125,7 +130,7 @@ pub(super) fn read_associations(folder: &Folder, path: &Path) -> Result<Vec<Asso
         let (first, second) =
             ((time(first_time)?, folder.path.join(first)), (time(second_time)?, folder.path.join(second)));
         let (depth, colour) = if depth_first { (first, second) } else { (second, first) };
-        associations.push(Association { line, time: depth.0, depth: depth.1, colour: colour.1 });
+        associations.push(Association { line, time: depth.0, depth: depth.1, colour_time: colour.0, colour: colour.1 });
     }
     if associations.is_empty() {
         return Err(Error::NoFrames { path: path.to_path_buf(), expected: format!("lines with {expected}") });
