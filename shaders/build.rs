@@ -20,6 +20,8 @@ const VARIANTS: &[(&str, &[&[&str]])] = &[
     ("raycast", &[&[], &["pages2"], &["pages2", "pages3"], &["pages2", "pages3", "pages4"]]),
     ("mesh/vertices", &[&[], &["colour"]]),
     ("render/colour", &[&[], &["pages2"], &["pages2", "pages3"], &["pages2", "pages3", "pages4"]]),
+    ("photometric/map", &[&[], &["pages2"], &["pages2", "pages3"], &["pages2", "pages3", "pages4"]]),
+    ("photometric/sums", &[&[], &["rgb"]]),
 ];
 
 type Result<T> = std::result::Result<T, String>;

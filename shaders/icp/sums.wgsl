@@ -1,8 +1,8 @@
-// Point-to-plane ICP with projective association: each depth pixel against the surface that the model shows there
-// (Newcombe et al. 2011, section 3.5; the report, section 3.1.1). An invocation sums over many pixels and writes a row
-// of the upper triangle of JᵀJ (21), Jᵀr (6), the sum of r², the number of pairs and that of pixels with a depth. No
-// barrier, and always the same order of additions.
+// Point-to-plane alignment with projective association: each depth pixel against the surface that the model shows there
+// (Newcombe et al. 2011, section 3.5; the report, sections 3.1.1 and 3.1.3). An invocation sums over many pixels and writes
+// a row of COLUMNS numbers, listed where they are written. No barrier, and always the same order of additions.
 import package::shared::camera::{Camera, unproject, project};
+import package::shared::weights::weight_by_depth;
 
 struct Params {
     // The depth image's level.
@@ -14,10 +14,22 @@ struct Params {
     // The rotation and translation estimated turn and move the camera about this point (world frame): the model
     // camera's centre, which keeps the system well conditioned far from the origin.
     pivot: vec3<f32>,
+    // Points further apart are no pair.
     max_distance: f32,
+    // Points further from the model's plane are no pair either.
+    max_plane_distance: f32,
+    // Residuals up to here count squared, larger ones linearly (Huber 1964).
+    huber: f32,
+    // How a pixel's weight follows its depth: one of shared/weights.wgsl's constants.
+    depth_weight: u32,
+    // Surface points count by how often they were observed, up to so often; 0 where all count alike.
+    full_confidence: f32,
+    // Surface points observed less often are no partners.
+    least_confidence: f32,
+    // Pixels skipped along both axes: every first, second, third … is used.
+    stride: u32,
     rows: u32,
-    unused_a: u32,
-    unused_b: vec2<u32>,
+    unused: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -30,26 +42,30 @@ override LANES: u32 = 64u;
 // Pixels that an invocation sums up.
 override PIXELS: u32 = 16u;
 
+const COLUMNS: u32 = 36u;
+
 struct Pair {
     // Derivatives of the residual by translation and rotation.
     translation: vec3<f32>,
     rotation: vec3<f32>,
     residual: f32,
-    // 1 for a pair, 0 for none, in which case all before is 0 too.
-    count: f32,
-    // 1 where the pixel has a depth.
-    valid: f32,
+    // Of the pixel, whether it found a partner or not.
+    weight: f32,
+    // Of the pair; 0 for none, in which case the derivatives and the residual are 0 too.
+    pair_weight: f32,
+    // 1 where the measured point lies too far in front of the model's, or behind it.
+    in_front: f32,
+    behind: f32,
 }
 
-fn pair(pixel: u32) -> Pair {
-    let size = params.depth_camera.size;
-    let z = depth[pixel];
+fn pair(pixel: vec2<u32>) -> Pair {
+    let z = depth[pixel.y * params.depth_camera.size.x + pixel.x];
     if z <= 0.0 {
-        return Pair(vec3(0.0), vec3(0.0), 0.0, 0.0, 0.0);
+        return Pair(vec3(0.0), vec3(0.0), 0.0, 0.0, 0.0, 0.0, 0.0);
     }
-    let none = Pair(vec3(0.0), vec3(0.0), 0.0, 0.0, 1.0);
-    let position = vec2<f32>(vec2(pixel % size.x, pixel / size.x));
-    let world = (params.world_from_camera * vec4(unproject(params.depth_camera, position, z), 1.0)).xyz;
+    let weight = weight_by_depth(params.depth_weight, params.depth_camera.depth_range, z);
+    let none = Pair(vec3(0.0), vec3(0.0), 0.0, weight, 0.0, 0.0, 0.0);
+    let world = (params.world_from_camera * vec4(unproject(params.depth_camera, vec2<f32>(pixel), z), 1.0)).xyz;
     let seen = (params.model_camera_from_world * vec4(world, 1.0)).xyz;
     if seen.z <= 0.0 {
         return none;
@@ -62,16 +78,24 @@ fn pair(pixel: u32) -> Pair {
     let model = points[at];
     let normal = normals[at];
     let offset = world - model.xyz;
-    if normal.w == 0.0 || dot(offset, offset) > params.max_distance * params.max_distance {
-        return none;
+    let residual = dot(offset, normal.xyz);
+    let square = dot(offset, offset);
+    let far = square > params.max_distance * params.max_distance || abs(residual) > params.max_plane_distance;
+    if normal.w == 0.0 || model.w <= params.least_confidence || far {
+        // Along the ray of the model's camera.
+        let to_camera = params.pivot - world;
+        let beyond = dot(offset, to_camera) < 0.0;
+        let apart = f32(normal.w > 0.0 && far);
+        return Pair(vec3(0.0), vec3(0.0), 0.0, weight, 0.0, select(apart, 0.0, beyond), select(0.0, apart, beyond));
     }
-    let arm = world - params.pivot;
-    return Pair(normal.xyz, cross(arm, normal.xyz), dot(offset, normal.xyz), 1.0, 1.0);
+    let confidence = select(1.0, min((model.w - 1.0) / params.full_confidence, 1.0), params.full_confidence > 0.0);
+    return Pair(normal.xyz, cross(world - params.pivot, normal.xyz), residual, weight, weight * confidence, 0.0, 0.0);
 }
 
 @compute @workgroup_size(LANES)
 fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3<u32>) {
-    let pixels = params.depth_camera.size.x * params.depth_camera.size.y;
+    let size = (params.depth_camera.size + vec2(params.stride - 1u)) / params.stride;
+    let pixels = size.x * size.y;
     let row = group.x * LANES + lane;
     if row >= params.rows {
         return;
@@ -85,33 +109,50 @@ fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group
     var rr1 = vec3(0.0); // yy yz zz
     var gt = vec3(0.0);
     var gr = vec3(0.0);
+    var cost = 0.0;
+    var weights = 0.0;
+    var apart = 0.0;
+    var unseen = 0.0;
     var squares = 0.0;
     var count = 0.0;
     var valid = 0.0;
+    var in_front = 0.0;
+    var behind = 0.0;
     // Lanes of a workgroup take neighbouring pixels.
     var pixel = group.x * LANES * PIXELS + lane;
     for (var i = 0u; i < PIXELS; i++) {
         if pixel < pixels {
-            let p = pair(pixel);
-            let t = p.translation;
-            let r = p.rotation;
-            tt0 += t.x * t;
-            tt1 += vec3(t.y * t.yz, t.z * t.z);
-            tr0 += t.x * r;
-            tr1 += t.y * r;
-            tr2 += t.z * r;
-            rr0 += r.x * r;
-            rr1 += vec3(r.y * r.yz, r.z * r.z);
+            let p = pair(vec2(pixel % size.x, pixel / size.x) * params.stride);
+            let size_of = abs(p.residual);
+            let w = p.pair_weight * min(params.huber / max(size_of, 1e-12), 1.0);
+            let t = w * p.translation;
+            let r = w * p.rotation;
+            tt0 += t.x * p.translation;
+            tt1 += vec3(t.y * p.translation.yz, t.z * p.translation.z);
+            tr0 += t.x * p.rotation;
+            tr1 += t.y * p.rotation;
+            tr2 += t.z * p.rotation;
+            rr0 += r.x * p.rotation;
+            rr1 += vec3(r.y * p.rotation.yz, r.z * p.rotation.z);
             gt += t * p.residual;
             gr += r * p.residual;
+            let linear = params.huber * (size_of - 0.5 * params.huber);
+            let is_pair = f32(p.pair_weight > 0.0);
+            cost += p.pair_weight * select(0.5 * p.residual * p.residual, linear, size_of > params.huber);
+            weights += p.pair_weight;
+            let is_apart = p.in_front + p.behind;
+            apart += p.weight * is_apart;
+            unseen += p.weight * (1.0 - is_pair - is_apart);
             squares += p.residual * p.residual;
-            count += p.count;
-            valid += p.valid;
+            count += is_pair;
+            valid += f32(p.weight > 0.0);
+            in_front += p.in_front;
+            behind += p.behind;
         }
         pixel += LANES;
     }
-    // The upper triangle row by row, then the gradient, the squares, the count.
-    let out = row * 32u;
+    let out = row * COLUMNS;
+    // The upper triangle of JᵀWJ row by row, JᵀWr, then what the host names in its own list.
     partial_sums[out + 0u] = tt0.x;
     partial_sums[out + 1u] = tt0.y;
     partial_sums[out + 2u] = tt0.z;
@@ -139,7 +180,13 @@ fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group
     partial_sums[out + 24u] = gr.x;
     partial_sums[out + 25u] = gr.y;
     partial_sums[out + 26u] = gr.z;
-    partial_sums[out + 27u] = squares;
-    partial_sums[out + 28u] = count;
-    partial_sums[out + 29u] = valid;
+    partial_sums[out + 27u] = cost;
+    partial_sums[out + 28u] = weights;
+    partial_sums[out + 29u] = apart;
+    partial_sums[out + 30u] = squares;
+    partial_sums[out + 31u] = count;
+    partial_sums[out + 32u] = valid;
+    partial_sums[out + 33u] = in_front;
+    partial_sums[out + 34u] = behind;
+    partial_sums[out + 35u] = unseen;
 }

@@ -26,7 +26,8 @@ pub use image::{ColourImage, Image, ImageSizeError};
 pub use mesh::Mesh;
 pub use se3::{PoseError, Se3};
 pub use settings::{
-    BilateralSettings, DeviceSettings, IcpSettings, MapSettings, OnFailure, Settings, SettingsError, TrackerSettings,
-    ViewSettings,
+    BilateralSettings, CompositePolicy, CompositeSettings, DepthWeight, DeviceSettings, ExtendedSettings, FileSettings,
+    IcpSettings, ImuSettings, MapSettings, OnFailure, RgbSettings, Settings, SettingsError, TrackerKind,
+    TrackerSettings, VerdictSettings, ViewSettings,
 };
 pub use trajectory::{StampedPose, Trajectory};

@@ -1,126 +1,117 @@
-//! Stage `icp`: the sums of point-to-plane ICP (Newcombe et al. 2011, section 3.5). The optimisation is itm-slam's.
+//! Stage `icp`: the sums of the depth term, point-to-plane with projective association (Newcombe et al. 2011, section 3.5;
+//! the report, sections 3.1.1 and 3.1.3). The optimisation is itm-slam's.
 
-use itm_core::Se3;
+use itm_core::{DepthWeight, Se3};
 use itm_shaders::icp;
 
 use crate::map::camera_params;
 use crate::recorder::{Groups, Pipeline};
-use crate::{Device, Error, RaycastImage, Recorder, View};
+use crate::sums::{DepthSums, Reduce, Shares};
+use crate::{Device, RaycastImage, Recorder, View};
 
-/// The normal equations of a least-squares problem in six unknowns: translation, then rotation, both about a pivot and
-/// in the world's directions: a point p moves to `pivot + exp(twist) (p - pivot)`.
+/// What counts in the depth term, and how much.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct NormalEquations {
-    /// JᵀJ, row by row.
-    pub hessian: [[f64; 6]; 6],
-    /// Jᵀr.
-    pub gradient: [f64; 6],
-    /// Sum of r² in square metres.
-    pub squares: f64,
-    /// Pairs that took part.
-    pub count: u32,
-    /// Pixels with a depth, whether they found a partner or not.
-    pub valid: u32,
+pub struct DepthTerm {
+    /// Points further apart than this many metres are no pair.
+    pub max_distance_m: f32,
+    /// Points further than this many metres from the model's plane are no pair either.
+    pub max_plane_distance_m: f32,
+    /// Residuals up to this many metres count squared, larger ones linearly (Huber 1964, *Robust Estimation of a Location
+    /// Parameter*); infinite where all count squared.
+    pub huber_m: f32,
+    /// How a pixel's weight follows its depth.
+    pub weight: DepthWeight,
+    /// Depth range (metres) that [`DepthWeight::Linear`] refers to.
+    pub depth_range_m: [f32; 2],
+    /// Observations of a surface point from which on it counts fully, fewer counting proportionally less; 0 where all
+    /// count alike.
+    pub full_confidence: f32,
+    /// Surface points with fewer observations than this are no partners.
+    pub least_confidence: f32,
+    /// Every so manyth pixel along both axes is used.
+    pub stride: u32,
 }
 
-/// The sums, row by row: the upper triangle of JᵀJ, Jᵀr, the squares, the two counts.
-const COLUMNS: u64 = 32;
-
-impl NormalEquations {
-    fn new(sums: &[f32]) -> Self {
-        let mut hessian = [[0.0; 6]; 6];
-        let mut next = sums.iter().map(|v| f64::from(*v));
-        let mut take = || next.next().expect("30 sums");
-        for (row, column) in (0..6).flat_map(|row| (row..6).map(move |column| (row, column))) {
-            let value = take();
-            hessian[row][column] = value;
-            hessian[column][row] = value;
+impl DepthTerm {
+    /// All pairs up to a distance count alike.
+    pub const fn plain(max_distance_m: f32) -> Self {
+        Self {
+            max_distance_m,
+            max_plane_distance_m: f32::MAX,
+            huber_m: f32::MAX,
+            weight: DepthWeight::None,
+            depth_range_m: [0.0, 1.0],
+            full_confidence: 0.0,
+            least_confidence: 0.0,
+            stride: 1,
         }
-        let gradient = std::array::from_fn(|_| take());
-        let squares = take();
-        Self { hessian, gradient, squares, count: take() as u32, valid: take() as u32 }
     }
 }
 
-/// The stage's pipelines and the memory of its sums.
+pub(crate) fn weight_kind(weight: DepthWeight) -> u32 {
+    match weight {
+        DepthWeight::None => 0,
+        DepthWeight::Linear => 1,
+        DepthWeight::Noise => 2,
+    }
+}
+
+/// The stage's pipeline.
 #[derive(Debug)]
 pub struct Icp {
-    device: Device,
     sums: Pipeline,
-    reduce: Pipeline,
-    lanes: u32,
-    pixels: u32,
-    partial_sums: wgpu::Buffer,
-    result: wgpu::Buffer,
-    staging: wgpu::Buffer,
+    shares: Shares,
 }
 
 impl Icp {
     /// Compiles the stage.
     pub fn new(device: &Device) -> Self {
-        // A processor likes few long rows of work; a GPU many short ones.
-        let (lanes, pixels) = if device.capabilities().software { (8, 128) } else { (64, 16) };
-        let constants = [("LANES", f64::from(lanes)), ("PIXELS", f64::from(pixels))];
-        Self {
-            device: device.clone(),
-            sums: Pipeline::new(device, &icp::sums::PASS, &[], &constants),
-            reduce: Pipeline::plain(device, &icp::reduce::PASS),
-            lanes,
-            pixels,
-            partial_sums: device.storage("icp partial sums", 16),
-            result: device.storage("icp sums", COLUMNS * 4),
-            staging: device.staging("icp sums", COLUMNS * 4),
-        }
+        let shares = Shares::new(device);
+        Self { sums: Pipeline::new(device, &icp::sums::PASS, &[], &shares.constants()), shares }
     }
 
-    /// The sums for one level of a view, taken to be at `world_from_camera`, against the surface in `model`, which was
-    /// cast from `world_from_model`. Points further than `max_distance_m` apart are no pair. The pivot is the model
-    /// camera's centre. Waits.
-    ///
-    /// # Errors
-    /// Where the device was lost.
-    pub fn evaluate(
-        &mut self,
+    /// Records the sums for one level of a view, taken to be at `world_from_camera`, against the surface in `model`, which
+    /// was cast from `world_from_model`. The pivot is the model camera's centre.
+    #[expect(clippy::too_many_arguments, reason = "a view and a model, each with its pose, and where the sums go")]
+    pub(crate) fn record(
+        &self,
+        recorder: &mut Recorder,
         view: &View,
         level: usize,
         world_from_camera: &Se3,
         model: &RaycastImage,
         world_from_model: &Se3,
-        max_distance_m: f32,
-    ) -> Result<NormalEquations, Error> {
-        let camera = view.level_camera(level);
-        let pixels = camera.pixels() as u32;
-        let groups = pixels.div_ceil(self.lanes * self.pixels);
-        let rows = groups * self.lanes;
-        self.device.ensure(&mut self.partial_sums, "icp partial sums", u64::from(rows) * COLUMNS * 4);
-        let mut recorder = Recorder::new(&self.device);
+        term: &DepthTerm,
+        (reduce, slot): (&mut Reduce, usize),
+    ) {
         recorder.stage("icp");
+        let camera = view.level_camera(level);
+        let stride = term.stride.max(1);
+        let (groups, rows) = self.shares.of(camera.width.div_ceil(stride) * camera.height.div_ceil(stride));
         let bindings = icp::sums::Bindings {
             params: icp::sums::Params {
-                depth_camera: camera_params(camera, [0.0, 0.0]),
+                depth_camera: camera_params(camera, term.depth_range_m),
                 model_camera: camera_params(model.camera(), [0.0, 0.0]),
                 world_from_camera: world_from_camera.to_mat4().to_cols_array_2d(),
                 model_camera_from_world: world_from_model.inverse().to_mat4().to_cols_array_2d(),
                 pivot: world_from_model.translation.as_vec3().to_array(),
-                max_distance: max_distance_m,
+                max_distance: term.max_distance_m.min(1e18),
+                max_plane_distance: term.max_plane_distance_m,
+                // Its square must be finite.
+                huber: term.huber_m.clamp(1e-9, 1e18),
+                depth_weight: weight_kind(term.weight),
+                full_confidence: term.full_confidence,
+                least_confidence: term.least_confidence,
+                stride,
                 rows,
-                unused_a: 0,
-                unused_b: [0; 2],
+                unused: 0,
             },
             depth: view.level_depth(level),
             points: &model.points,
             normals: &model.normals,
-            partial_sums: &self.partial_sums,
+            partial_sums: reduce.partial(slot, rows, DepthSums::COLUMNS),
         };
         recorder.dispatch(&self.sums, &bindings, Groups::Count([groups, 1, 1]));
-        let bindings = icp::reduce::Bindings {
-            params: icp::reduce::Params { rows },
-            partial_sums: &self.partial_sums,
-            sums: &self.result,
-        };
-        recorder.dispatch(&self.reduce, &bindings, Groups::Count([1, 1, 1]));
-        recorder.copy(&self.result, &self.staging, COLUMNS * 4);
-        let _untimed = recorder.submit();
-        Ok(NormalEquations::new(&self.device.read_staging::<f32>(&self.staging, COLUMNS * 4)?))
+        reduce.record(recorder, slot, rows, DepthSums::COLUMNS);
     }
 }

@@ -10,18 +10,21 @@
 pub mod allocate;
 mod device;
 mod error;
+pub mod evaluate;
 pub mod hash;
 pub mod icp;
 pub mod integrate;
 mod map;
 pub mod mesh;
 pub mod normals;
+pub mod photometric;
 pub mod ranges;
 pub mod raycast;
 mod recorder;
 pub mod reference;
 pub mod render;
 mod scan;
+mod sums;
 pub mod view;
 pub mod visible;
 
@@ -30,4 +33,5 @@ pub use error::Error;
 pub use map::{BlockMap, FrameRecord, HostBlock, MapLayout, RecordReader};
 pub use raycast::RaycastImage;
 pub use recorder::{Recorder, StageTimes};
+pub use sums::{DepthSums, PhotometricSums};
 pub use view::View;

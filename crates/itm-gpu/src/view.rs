@@ -19,8 +19,8 @@ pub struct ViewOptions {
     pub levels: usize,
     /// Whether vertex and normal maps are made.
     pub vertices: bool,
-    /// Levels of the intensity pyramid and its gradients; 0 for none.
-    pub intensity_levels: usize,
+    /// Levels of the colour pyramid, the finest included; at least 1.
+    pub colour_levels: usize,
 }
 
 /// A frame on the device.
@@ -31,17 +31,9 @@ pub struct View {
     scratch: wgpu::Buffer,
     depth: Vec<(Intrinsics, wgpu::Buffer)>,
     vertices: Option<(wgpu::Buffer, wgpu::Buffer)>,
-    colour: Option<wgpu::Buffer>,
+    /// Empty until the first frame with colour comes.
+    colour: Vec<(Intrinsics, wgpu::Buffer)>,
     has_colour: bool,
-    intensity: Vec<IntensityLevel>,
-}
-
-/// One level of an intensity pyramid.
-#[derive(Debug)]
-struct IntensityLevel {
-    camera: Intrinsics,
-    intensity: wgpu::Buffer,
-    gradients: wgpu::Buffer,
 }
 
 impl View {
@@ -65,16 +57,8 @@ impl View {
             vertices: options
                 .vertices
                 .then(|| (image("vertices", depth_camera, 16), image("view normals", depth_camera, 16))),
-            colour: None,
+            colour: Vec::new(),
             has_colour: false,
-            intensity: (0..options.intensity_levels)
-                .map(|l| level(&calibration.colour, l))
-                .map(|camera| IntensityLevel {
-                    camera,
-                    intensity: image("intensity", &camera, 4),
-                    gradients: image("gradients", &camera, 8),
-                })
-                .collect(),
         }
     }
 
@@ -99,7 +83,17 @@ impl View {
 
     /// The colour image (one word a pixel), where the frame has one.
     pub(crate) fn colour(&self) -> Option<&wgpu::Buffer> {
-        self.colour.as_ref().filter(|_| self.has_colour)
+        self.level_colour(0).map(|(_, colour)| colour)
+    }
+
+    /// A level of the colour pyramid and its camera, where the frame has colour and the view such a level.
+    pub(crate) fn level_colour(&self, level: usize) -> Option<(&Intrinsics, &wgpu::Buffer)> {
+        self.colour.get(level).filter(|_| self.has_colour).map(|(camera, colour)| (camera, colour))
+    }
+
+    /// Whether the frame has colour.
+    pub fn has_colour(&self) -> bool {
+        self.has_colour
     }
 
     /// Reads a level of the depth pyramid back (metres, 0 where there is none). Waits. For tests, exports and pictures.
@@ -121,14 +115,13 @@ impl View {
         self.vertices.as_ref().map(|(v, n)| Ok((read(device, v, camera)?, read(device, n, camera)?))).transpose()
     }
 
-    /// Reads a level of the intensity pyramid (0 to 1) and its gradients (per pixel, along x and y) back. Waits. For
-    /// tests, exports and pictures.
+    /// Reads a level of the colour pyramid back; `None` where the frame has no colour. Waits. For tests, exports and
+    /// pictures.
     ///
     /// # Errors
     /// Where the device was lost.
-    pub fn read_intensity(&self, device: &Device, level: usize) -> Result<(Image<f32>, Image<[f32; 2]>), Error> {
-        let l = &self.intensity[level];
-        Ok((read(device, &l.intensity, &l.camera)?, read(device, &l.gradients, &l.camera)?))
+    pub fn read_colour(&self, device: &Device, level: usize) -> Result<Option<ColourImage>, Error> {
+        self.level_colour(level).map(|(camera, colour)| read(device, colour, camera)).transpose()
     }
 }
 
@@ -146,9 +139,7 @@ pub struct ViewStage {
     bilateral: Pipeline,
     halve_depth: Pipeline,
     vertices: Pipeline,
-    intensity: Pipeline,
-    halve_intensity: Pipeline,
-    gradients: Pipeline,
+    halve_colour: Pipeline,
 }
 
 /// Neighbouring pixels further apart than this in depth lie on different surfaces.
@@ -164,9 +155,7 @@ impl ViewStage {
             bilateral: Pipeline::plain(device, &view::bilateral::PASS),
             halve_depth: Pipeline::plain(device, &view::halve_depth::PASS),
             vertices: Pipeline::plain(device, &view::vertices::PASS),
-            intensity: Pipeline::plain(device, &view::intensity::PASS),
-            halve_intensity: Pipeline::plain(device, &view::halve_intensity::PASS),
-            gradients: Pipeline::plain(device, &view::gradients::PASS),
+            halve_colour: Pipeline::plain(device, &view::halve_colour::PASS),
         }
     }
 
@@ -191,7 +180,7 @@ impl ViewStage {
         self.record_depth(recorder, view, &frame.depth, options);
         view.has_colour = frame.colour.is_some();
         if let Some(colour) = &frame.colour {
-            self.record_colour(recorder, view, colour);
+            self.record_colour(recorder, view, colour, options);
         }
         Ok(())
     }
@@ -261,36 +250,23 @@ impl ViewStage {
         }
     }
 
-    fn record_colour(&self, recorder: &mut Recorder, view: &mut View, image: &ColourImage) {
-        let camera = view.calibration.colour;
-        let colour = view.colour.get_or_insert_with(|| self.device.storage("colour", camera.pixels() as u64 * 4));
-        self.device.queue.write_buffer(colour, 0, bytemuck::cast_slice(image.data()));
-        if let Some(finest) = view.intensity.first() {
-            let params = view::intensity::Params { size: [camera.width, camera.height] };
-            let bindings = view::intensity::Bindings { params, colour, intensity: &finest.intensity };
-            recorder.dispatch(&self.intensity, &bindings, Groups::linear(camera.pixels() as u64, 64));
+    fn record_colour(&self, recorder: &mut Recorder, view: &mut View, image: &ColourImage, options: &ViewOptions) {
+        if view.colour.is_empty() {
+            let levels = (0..options.colour_levels.max(1)).map(|l| view.calibration.colour.at_level(l as u32));
+            view.colour =
+                levels.map(|camera| (camera, self.device.storage("colour", camera.pixels() as u64 * 4))).collect();
         }
-        for pair in view.intensity.windows(2) {
-            let [fine, coarse] = pair else { unreachable!("windows of two") };
-            let size = (coarse.camera.width, coarse.camera.height);
-            let bindings = view::halve_intensity::Bindings {
-                params: view::halve_intensity::Params {
-                    size: [fine.camera.width, fine.camera.height],
-                    half_size: [size.0, size.1],
-                },
-                intensity: &fine.intensity,
-                halved: &coarse.intensity,
+        // The fourth byte tells pixels with a colour from those without, whatever came in it.
+        let words: Vec<[u8; 4]> = image.data().iter().map(|[r, g, b, _]| [*r, *g, *b, 255]).collect();
+        self.device.queue.write_buffer(&view.colour[0].1, 0, bytemuck::cast_slice(&words));
+        for pair in view.colour.windows(2) {
+            let [(fine, colour), (coarse, halved)] = pair else { unreachable!("windows of two") };
+            let params = view::halve_colour::Params {
+                size: [fine.width, fine.height],
+                half_size: [coarse.width, coarse.height],
             };
-            recorder.dispatch(&self.halve_intensity, &bindings, Groups::image(size, (64, 1)));
-        }
-        for level in &view.intensity {
-            let size = (level.camera.width, level.camera.height);
-            let bindings = view::gradients::Bindings {
-                params: view::gradients::Params { size: [size.0, size.1] },
-                intensity: &level.intensity,
-                gradients: &level.gradients,
-            };
-            recorder.dispatch(&self.gradients, &bindings, Groups::image(size, (64, 1)));
+            let bindings = view::halve_colour::Bindings { params, colour, halved };
+            recorder.dispatch(&self.halve_colour, &bindings, Groups::image((coarse.width, coarse.height), (64, 1)));
         }
     }
 }

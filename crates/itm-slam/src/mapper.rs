@@ -143,13 +143,15 @@ impl Mapper {
         }
     }
 
-    /// Fuses a view into the map, and casts the map into `model` for the next frame's tracking. `times` are those of the
+    /// Fuses a view into the map, whose colour camera lies at `colour_from_depth` beside the depth camera, and casts the map
+    /// into `model` for the next frame's tracking. `times` are those of the
     /// frame's earlier stages. Returns whether there is a map: a view without depth cannot begin one.
     pub(crate) fn fuse(
         &mut self,
         frame: u64,
         view: &View,
         world_from_camera: &Se3,
+        colour_from_depth: &Se3,
         model: &RaycastImage,
         mut times: Vec<StageTimes>,
     ) -> Result<bool, Error> {
@@ -180,7 +182,8 @@ impl Mapper {
             stop_at_max_weight: self.settings.map.stop_at_max_weight,
             colour_band: self.settings.map.colour_band,
         };
-        self.integrate.record(&mut recorder, &self.map, view, &self.calibration, world_from_camera, &options);
+        let calibration = Calibration { colour_from_depth: *colour_from_depth, ..self.calibration };
+        self.integrate.record(&mut recorder, &self.map, view, &calibration, world_from_camera, &options);
         self.ranges.record(&mut recorder, &self.map, model, world_from_camera);
         self.raycast.record(&mut recorder, &self.map, model, world_from_camera, [near_m, far]);
         self.normals.record(&mut recorder, model, world_from_camera);
@@ -198,14 +201,26 @@ impl Mapper {
         max_depth_m: f32,
     ) -> Result<RaycastImage, Error> {
         let image = RaycastImage::new(&self.device, *camera)?;
+        self.cast_into(&image, world_from_camera, max_depth_m)?;
+        Ok(image)
+    }
+
+    /// The same, into an image.
+    pub(crate) fn cast_into(
+        &mut self,
+        image: &RaycastImage,
+        world_from_camera: &Se3,
+        max_depth_m: f32,
+    ) -> Result<(), Error> {
+        let camera = image.camera();
         self.map.lay_grid(camera, world_from_camera, max_depth_m, 0.0)?;
         let mut recorder = Recorder::new(&self.device);
         self.allocate.fill_grid(&mut recorder, &self.map);
         self.visible.record(&mut recorder, &self.map, camera, world_from_camera, 0.0, max_depth_m);
-        self.ranges.record(&mut recorder, &self.map, &image, world_from_camera);
-        self.raycast.record(&mut recorder, &self.map, &image, world_from_camera, [0.01, max_depth_m]);
-        self.normals.record(&mut recorder, &image, world_from_camera);
+        self.ranges.record(&mut recorder, &self.map, image, world_from_camera);
+        self.raycast.record(&mut recorder, &self.map, image, world_from_camera, [0.01, max_depth_m]);
+        self.normals.record(&mut recorder, image, world_from_camera);
         let _untimed = recorder.submit();
-        Ok(image)
+        Ok(())
     }
 }

@@ -1,16 +1,19 @@
 //! The core: frames in, poses and a map out. Synchronous, without threads.
 
+use std::ops::Range;
+
 use itm_core::StampedPose;
 use itm_core::{Calibration, ColourImage, Frame, Intrinsics, Mesh, OnFailure, Se3, Settings, Timestamp, Trajectory};
-use itm_gpu::icp::Icp;
+use itm_gpu::evaluate::{ColourTerm, Compared, Evaluator};
 use itm_gpu::mesh::Extract;
+use itm_gpu::photometric::PointList;
 use itm_gpu::render::{Render, Shading};
 use itm_gpu::view::{ViewOptions, ViewStage};
 use itm_gpu::{Device, FrameRecord, RaycastImage, Recorder, View};
 
 use crate::Error;
 use crate::mapper::{Late, Mapper};
-use crate::tracking::{self, NormalEquations, Objective, Tracked, Verdict};
+use crate::tracking::{Against, Age, Evaluation, Guess, Motion, Objective, Request, Tracked, Tracker, Verdict};
 
 /// Where poses come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -112,7 +115,12 @@ pub struct Slam {
     view_options: ViewOptions,
     view_stage: ViewStage,
     view: View,
-    icp: Icp,
+    tracker: Tracker,
+    evaluator: Evaluator,
+    /// Surface points with the colours of the frame before and of the map, where the tracker compares them.
+    lists: [Option<PointList>; 2],
+    motion: Motion,
+    age: Age,
     mapper: Mapper,
     render: Render,
     extract: Extract,
@@ -136,16 +144,21 @@ impl Slam {
     pub fn new(device: &Device, calibration: &Calibration, settings: &Settings, poses: Poses) -> Result<Self, Error> {
         settings.validate()?;
         calibration.validate()?;
+        let tracker = Tracker::new(settings)?;
+        let needs = match poses {
+            Poses::Tracked => Needs::of(&tracker),
+            Poses::Given => Needs { levels: 1, lists: [None, None] },
+        };
         let view_options = ViewOptions {
             depth_range_m: [settings.view.min_depth_m, settings.view.max_depth_m],
             bilateral_passes: settings.view.bilateral.passes,
-            levels: match poses {
-                Poses::Tracked => settings.tracker.icp.levels.len(),
-                Poses::Given => 1,
-            },
+            levels: needs.levels,
             vertices: false,
-            intensity_levels: 0,
+            colour_levels: needs.lists.iter().flatten().map(|range| range.end).max().unwrap_or(1),
         };
+        let model = RaycastImage::new(device, calibration.depth)?;
+        let list = |range: Option<Range<usize>>| range.map(|r| PointList::new(device, &model, r.start, r.end));
+        let lists = needs.lists.map(list);
         Ok(Self {
             device: device.clone(),
             calibration: *calibration,
@@ -154,11 +167,15 @@ impl Slam {
             view_options,
             view_stage: ViewStage::new(device),
             view: View::new(device, calibration, &view_options),
-            icp: Icp::new(device),
+            tracker,
+            evaluator: Evaluator::new(device),
+            lists,
+            motion: Motion::default(),
+            age: Age::default(),
             mapper: Mapper::new(device, calibration, settings)?,
             render: Render::new(device),
             extract: Extract::new(device),
-            model: RaycastImage::new(device, calibration.depth)?,
+            model,
             world_from_model: None,
             trajectory: Trajectory::default(),
         })
@@ -208,6 +225,9 @@ impl Slam {
         let view_times = recorder.submit();
         let report = self.mapper.consume()?.map(|late| self.report(late));
 
+        self.motion.sense(frame);
+        let colour_lead = self.motion.colour_lead(frame, &self.settings.view);
+        let before = self.motion.last();
         let started = std::time::Instant::now();
         let (mut status, tracked, pose) = self.locate(frame)?;
         let track_ms = started.elapsed().as_secs_f64() * 1e3;
@@ -217,8 +237,14 @@ impl Slam {
             _ => pose,
         };
         if let Some(world_from_camera) = fuse_at {
-            if self.mapper.fuse(frame.index, &self.view, &world_from_camera, &self.model, vec![view_times])? {
+            let depth_from_then = colour_offset(&before, &world_from_camera, colour_lead).inverse();
+            let colour_from_depth = self.calibration.colour_from_depth * depth_from_then;
+            let times = vec![view_times];
+            if self.mapper.fuse(frame.index, &self.view, &world_from_camera, &colour_from_depth, &self.model, times)? {
                 self.world_from_model = Some(world_from_camera);
+                self.age.frames += 1;
+                self.motion.moved_to(frame, world_from_camera);
+                self.list_colours(&(world_from_camera * colour_from_depth.inverse()), &world_from_camera);
                 self.trajectory.push(StampedPose { timestamp: frame.timestamp, world_from_camera });
             } else {
                 status = FrameStatus::NoDepth;
@@ -246,14 +272,38 @@ impl Slam {
         let Some(world_from_model) = self.world_from_model else {
             return Ok((FrameStatus::Placed, None, Some(Se3::IDENTITY)));
         };
-        let mut objective =
-            ModelObjective { icp: &mut self.icp, view: &self.view, model: &self.model, world_from_model };
-        let tracked = tracking::icp::track(&mut objective, &world_from_model, &self.settings.tracker.icp)?;
+        let mut objective = ModelObjective {
+            evaluator: &mut self.evaluator,
+            view: &self.view,
+            model: &self.model,
+            lists: self.lists.each_ref().map(Option::as_ref),
+            world_from_model,
+            before: self.motion.last(),
+            colour_lead: self.motion.colour_lead(frame, &self.settings.view),
+            depth_from_colour: self.calibration.colour_from_depth.inverse(),
+        };
+        let tracked = self.tracker.track(&mut objective, frame, &self.motion, self.age, &[])?;
         let (status, pose) = match &tracked.verdict {
-            Verdict::Good => (FrameStatus::Tracked, Some(tracked.world_from_camera)),
-            Verdict::Lost { reason } => (FrameStatus::Lost { reason: reason.clone() }, None),
+            Verdict::Good | Verdict::Poor => (FrameStatus::Tracked, Some(tracked.world_from_camera)),
+            Verdict::Lost => (FrameStatus::Lost { reason: tracked.reasons.join("; ") }, None),
         };
         Ok((status, Some(tracked), pose))
+    }
+
+    /// Lists the model's points with their colours for the next frame's tracking.
+    fn list_colours(&self, world_from_colour: &Se3, world_from_camera: &Se3) {
+        if self.lists.iter().all(Option::is_none) {
+            return;
+        }
+        let mut recorder = Recorder::new(&self.device);
+        let stage = &self.evaluator.photometric;
+        if let Some(list) = &self.lists[Against::Previous as usize] {
+            stage.list_previous(&mut recorder, list, &self.model, &self.view, world_from_colour, 0.0);
+        }
+        if let Some(list) = &self.lists[Against::Map as usize] {
+            stage.list_map(&mut recorder, list, &self.model, &self.mapper.map, world_from_camera, 0.0);
+        }
+        let _untimed = recorder.submit();
     }
 
     fn report(&self, late: Late) -> FrameReport {
@@ -303,30 +353,89 @@ impl Slam {
     }
 }
 
+/// What a tracker's plans need of a view and of the model.
+struct Needs {
+    /// Levels of the depth pyramid.
+    levels: usize,
+    /// Levels of the point lists, by [`Against`].
+    lists: [Option<Range<usize>>; 2],
+}
+
+impl Needs {
+    fn of(tracker: &Tracker) -> Self {
+        let mut needs = Self { levels: 1, lists: [None, None] };
+        for level in tracker.plans(Age::default()).iter().flat_map(|plan| &plan.levels) {
+            needs.levels = needs.levels.max(level.request.level + 1);
+            for (range, term) in needs.lists.iter_mut().zip(&level.request.colour) {
+                let Some(term) = term else { continue };
+                let known = range.get_or_insert(term.level..term.level + 1);
+                *known = known.start.min(term.level)..known.end.max(term.level + 1);
+            }
+        }
+        needs
+    }
+}
+
+/// The camera's motion from the moment of its depth image to that of its colour image, if it went on as from the pose
+/// before, by a share of that way.
+fn colour_offset(before: &Option<Se3>, world_from_camera: &Se3, lead: f64) -> Se3 {
+    match before {
+        Some(before) if lead != 0.0 => Se3::exp((before.inverse() * *world_from_camera).log().map(|v| lead * v)),
+        _ => Se3::IDENTITY,
+    }
+}
+
 /// The GPU's sums for a view against the model.
 struct ModelObjective<'a> {
-    icp: &'a mut Icp,
+    evaluator: &'a mut Evaluator,
     view: &'a View,
     model: &'a RaycastImage,
+    lists: [Option<&'a PointList>; 2],
     world_from_model: Se3,
+    /// The pose before.
+    before: Option<Se3>,
+    /// See [`Motion::colour_lead`].
+    colour_lead: f64,
+    depth_from_colour: Se3,
 }
 
 impl Objective for ModelObjective<'_> {
-    fn levels(&self) -> usize {
-        self.view.levels()
-    }
-
     fn pivot(&self) -> glam::DVec3 {
         // As the shader sees it: in single precision.
         self.world_from_model.translation.as_vec3().as_dvec3()
     }
 
-    fn evaluate(
-        &mut self,
-        world_from_camera: &Se3,
-        level: usize,
-        max_distance_m: f32,
-    ) -> Result<NormalEquations, itm_gpu::Error> {
-        self.icp.evaluate(self.view, level, world_from_camera, self.model, &self.world_from_model, max_distance_m)
+    fn evaluate(&mut self, guess: &Guess, request: &Request) -> Result<Evaluation, itm_gpu::Error> {
+        let pose = &guess.world_from_camera;
+        let offset = colour_offset(&self.before, pose, self.colour_lead);
+        let world_from_colour = *pose * offset * self.depth_from_colour;
+        let terms: [Option<ColourTerm<'_>>; 2] = std::array::from_fn(|i| {
+            let mut term = request.colour[i]?;
+            (term.gain, term.offset) = (guess.exposure[i].gain as f32, guess.exposure[i].offset as f32);
+            Some(ColourTerm { list: self.lists[i]?, world_from_colour, term })
+        });
+        let compared = Compared {
+            view: self.view,
+            level: request.level,
+            model: self.model,
+            world_from_model: self.world_from_model,
+        };
+        let terms = terms.each_ref().map(Option::as_ref);
+        let (depth, mut colour) = self.evaluator.evaluate(&compared, pose, request.depth.as_ref(), terms)?;
+        // A step of the depth camera's moves the colour camera by as much more as it is ahead.
+        let further = 1.0 + self.colour_lead;
+        for sums in colour.iter_mut().flatten() {
+            for i in 0..6 {
+                sums.gradient[i] *= further;
+                for j in 0..6 {
+                    sums.hessian[i][j] *= further * further;
+                }
+                for j in 6..8 {
+                    sums.hessian[i][j] *= further;
+                    sums.hessian[j][i] *= further;
+                }
+            }
+        }
+        Ok(Evaluation { depth, colour })
     }
 }

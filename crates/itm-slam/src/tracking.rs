@@ -1,58 +1,97 @@
 //! Camera tracking: the optimisation of a pose over an objective that the GPU (or a CPU reference) evaluates.
 //!
-//! A tracker meets images only through [`Objective`]; it solves six-by-six systems and decides whether a frame was
-//! tracked. The family of trackers grows here, one module each.
+//! A tracker meets images only through [`Objective`]. [`Plan`] says what a kind of tracker evaluates at which level, one
+//! optimiser ([`optimise`]) carries every plan out, [`Motion`] says where to start, and a verdict says whether the result
+//! can be relied on.
 
-pub mod icp;
+mod equations;
+mod motion;
+mod optimise;
+mod plan;
+mod tracker;
+mod verdict;
 
 use itm_core::Se3;
-pub use itm_gpu::icp::NormalEquations;
+use itm_gpu::icp::DepthTerm;
+use itm_gpu::photometric::PhotometricTerm;
+use itm_gpu::{DepthSums, PhotometricSums};
 
-/// A sum of squared residuals over a frame's pixels, as a function of the camera's pose.
+pub use equations::{NormalEquations, Noise};
+pub use motion::Motion;
+pub use optimise::{Outcome, optimise};
+pub use plan::{Age, LevelPlan, Part, Plan};
+pub use tracker::Tracker;
+pub use verdict::{Tracked, Verdict};
+
+/// What a colour is multiplied by, and what is added then, to become what another image shows: the difference between two
+/// exposures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Exposure {
+    /// Factor.
+    pub gain: f64,
+    /// Summand; colours are 0 to 1.
+    pub offset: f64,
+}
+
+impl Default for Exposure {
+    fn default() -> Self {
+        Self { gain: 1.0, offset: 0.0 }
+    }
+}
+
+/// What live colours are compared with: an index into a guess's exposures and an evaluation's colour sums.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Against {
+    /// The frame before.
+    Previous = 0,
+    /// The map.
+    Map = 1,
+}
+
+/// What is estimated.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Guess {
+    /// Pose of the depth camera.
+    pub world_from_camera: Se3,
+    /// Exposures of what live colours are compared with, by [`Against`].
+    pub exposure: [Exposure; 2],
+}
+
+impl Guess {
+    /// A pose, with exposures that are alike.
+    pub fn at(world_from_camera: Se3) -> Self {
+        Self { world_from_camera, ..Self::default() }
+    }
+}
+
+/// What is to be evaluated; a term's gain and offset are the guess's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Request {
+    /// Level of the pyramids; 0 is the finest.
+    pub level: usize,
+    /// The depth term.
+    pub depth: Option<DepthTerm>,
+    /// The colour terms, by [`Against`].
+    pub colour: [Option<PhotometricTerm>; 2],
+}
+
+/// What an objective finds: a term that was not asked for, or has no data to compare, has no sums.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Evaluation {
+    /// The depth term.
+    pub depth: Option<DepthSums>,
+    /// The colour terms, by [`Against`].
+    pub colour: [Option<PhotometricSums>; 2],
+}
+
+/// Error terms over a frame's pixels, as functions of the camera's pose.
 pub trait Objective {
-    /// Levels of the image pyramid; 0 is the finest.
-    fn levels(&self) -> usize;
-
-    /// Point (world frame, metres) about which the equations' rotation turns.
+    /// Point (world frame, metres) about which the sums' rotation turns.
     fn pivot(&self) -> glam::DVec3;
 
-    /// The normal equations at a pose, for pairs at most `max_distance_m` apart.
+    /// The sums at a guess.
     ///
     /// # Errors
     /// Where the device was lost.
-    fn evaluate(
-        &mut self,
-        world_from_camera: &Se3,
-        level: usize,
-        max_distance_m: f32,
-    ) -> Result<NormalEquations, itm_gpu::Error>;
-}
-
-/// Whether a frame was tracked.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Verdict {
-    /// The pose can be relied on.
-    Good,
-    /// There is no pose, for this reason.
-    Lost {
-        /// In words and numbers.
-        reason: String,
-    },
-}
-
-/// What tracking found.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Tracked {
-    /// The camera's pose; where tracking was lost, the one it started from. Always finite.
-    pub world_from_camera: Se3,
-    /// Whether it can be relied on.
-    pub verdict: Verdict,
-    /// Pairs at the last evaluation of the finest level that was used.
-    pub inliers: u32,
-    /// Pairs as a share of the pixels with a depth.
-    pub inlier_share: f64,
-    /// Root mean square distance of the pairs, in metres.
-    pub rms_m: f64,
-    /// Evaluations of the objective, from the coarsest level to the finest.
-    pub evaluations: Vec<u32>,
+    fn evaluate(&mut self, guess: &Guess, request: &Request) -> Result<Evaluation, itm_gpu::Error>;
 }

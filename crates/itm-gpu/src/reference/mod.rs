@@ -12,6 +12,7 @@ pub mod integrate;
 mod map;
 pub mod mesh;
 pub mod normals;
+pub mod photometric;
 pub mod ranges;
 pub mod raycast;
 pub mod view;

@@ -115,39 +115,12 @@ pub fn vertices(depth: &Image<f32>, camera: &Intrinsics, reach_m: f32) -> Image<
     })
 }
 
-/// Colour to intensity between 0 and 1: 0.299 R + 0.587 G + 0.114 B (the report, section 3.1.3).
-pub fn intensity(colour: &ColourImage) -> Image<f32> {
-    Image::from_fn(colour.width(), colour.height(), |x, y| {
-        let [r, g, b, _] = colour[(x, y)].map(f64::from);
-        ((0.299 * r + 0.587 * g + 0.114 * b) / 255.0) as f32
-    })
-}
-
-/// Halves an intensity image: the mean of each 2x2 group.
-pub fn halve_intensity(intensity: &Image<f32>) -> Image<f32> {
-    let (width, height) = half(intensity);
+/// Halves a colour image: the mean of each 2x2 group, rounded to bytes.
+pub fn halve_colour(colour: &ColourImage) -> ColourImage {
+    let (width, height) = half(colour);
     Image::from_fn(width, height, |x, y| {
-        let sum: f64 = group(intensity, x, y).into_iter().map(|p| f64::from(intensity[p])).sum();
-        (sum / 4.0) as f32
-    })
-}
-
-/// Intensity gradients along x and y, per pixel, by Scharr's 3x3 kernels (Scharr 2000, *Optimal Operators in Digital
-/// Image Processing*), with the border repeated.
-pub fn gradients(intensity: &Image<f32>) -> Image<[f32; 2]> {
-    /// Weights across the direction of the derivative; they sum to 16.
-    const ACROSS: [f64; 3] = [3.0, 10.0, 3.0];
-    let (last_x, last_y) = (i64::from(intensity.width()) - 1, i64::from(intensity.height()) - 1);
-    let at = |x: i64, y: i64| f64::from(intensity[(x.clamp(0, last_x) as u32, y.clamp(0, last_y) as u32)]);
-    Image::from_fn(intensity.width(), intensity.height(), |x, y| {
-        let (x, y) = (i64::from(x), i64::from(y));
-        let (mut along_x, mut along_y) = (0.0, 0.0);
-        for (offset, weight) in (-1..=1).zip(ACROSS) {
-            along_x += weight * (at(x + 1, y + offset) - at(x - 1, y + offset));
-            along_y += weight * (at(x + offset, y + 1) - at(x + offset, y - 1));
-        }
-        // The two columns lie two pixels apart.
-        [(along_x / 32.0) as f32, (along_y / 32.0) as f32]
+        let pixels = group(colour, x, y).map(|p| colour[p]);
+        std::array::from_fn(|c| (pixels.iter().map(|p| f64::from(p[c])).sum::<f64>() / 4.0).round() as u8)
     })
 }
 
@@ -169,14 +142,12 @@ mod tests {
     }
 
     #[test]
-    fn a_linear_ramp_has_constant_gradients_and_stays_linear_when_halved() {
-        let ramp = Image::from_fn(9, 8, |x, y| 0.01 * x as f32 + 0.02 * y as f32);
-        let inner = gradients(&ramp)[(4, 4)];
-        assert!((inner[0] - 0.01).abs() < 1e-6 && (inner[1] - 0.02).abs() < 1e-6, "{inner:?}");
-        let halved = halve_intensity(&ramp);
+    fn a_halved_image_has_the_means_of_its_groups() {
+        let ramp = ColourImage::from_fn(9, 8, |x, y| [10 * x as u8, 20 * y as u8, 7, 255]);
+        let halved = halve_colour(&ramp);
         assert_eq!(halved.size(), (4, 4));
-        assert!((halved[(1, 1)] - (0.01 * 2.5 + 0.02 * 2.5)).abs() < 1e-6);
-        assert_eq!(halve_intensity(&Image::filled(1, 1, 0.5)).data(), &[0.5]);
+        assert_eq!(halved[(1, 1)], [25, 50, 7, 255]);
+        assert_eq!(halve_colour(&Image::filled(1, 1, [9; 4])).data(), &[[9; 4]]);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-// Halves an intensity image: the mean of each 2x2 group.
+// Halves a colour image: the mean of each 2x2 group.
 
 struct Params {
     // Of the image that is read.
@@ -8,19 +8,19 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> intensity: array<f32>;
-@group(0) @binding(2) var<storage, read_write> halved: array<f32>;
+@group(0) @binding(1) var<storage, read> colour: array<u32>;
+@group(0) @binding(2) var<storage, read_write> halved: array<u32>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(id.xy >= params.half_size) {
         return;
     }
-    var sum = 0.0;
+    var sum = vec4(0.0);
     for (var i = 0u; i < 4u; i++) {
         // A side of one pixel has no second one.
         let p = min(2u * id.xy + vec2(i & 1u, i >> 1u), params.size - vec2(1u));
-        sum += intensity[p.y * params.size.x + p.x];
+        sum += unpack4x8unorm(colour[p.y * params.size.x + p.x]);
     }
-    halved[id.y * params.half_size.x + id.x] = 0.25 * sum;
+    halved[id.y * params.half_size.x + id.x] = pack4x8unorm(0.25 * sum);
 }

@@ -1,7 +1,15 @@
 //! The settings of a run: one tree, documented where it is defined, unknown keys refused.
 
+mod tracker;
+mod tracker_string;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+
+pub use tracker::{
+    CompositePolicy, CompositeSettings, DepthWeight, ExtendedSettings, FileSettings, IcpSettings, ImuSettings, OnFailure,
+    RgbSettings, TrackerKind, TrackerSettings, VerdictSettings,
+};
 
 /// All settings of a run.
 ///
@@ -46,11 +54,15 @@ pub struct ViewSettings {
     pub bilateral: BilateralSettings,
     /// Whether colour is used where the recording has it.
     pub colour: bool,
+    /// Whether a colour image counts as taken when the recording says, rather than together with its depth image.
+    pub colour_times: bool,
+    /// Seconds by which colour images were taken later than that.
+    pub colour_delay_s: f64,
 }
 
 impl Default for ViewSettings {
     fn default() -> Self {
-        Self { min_depth_m: 0.2, max_depth_m: 3.0, bilateral: BilateralSettings::default(), colour: true }
+        Self { min_depth_m: 0.2, max_depth_m: 3.0, bilateral: BilateralSettings::default(), colour: true, colour_times: true, colour_delay_s: 0.0 }
     }
 }
 
@@ -100,64 +112,6 @@ impl Default for MapSettings {
     }
 }
 
-/// How the camera is tracked, and what happens where that fails.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct TrackerSettings {
-    /// Point-to-plane ICP on depth.
-    pub icp: IcpSettings,
-    /// What happens to a frame whose tracking failed.
-    pub on_failure: OnFailure,
-}
-
-/// What happens to a frame whose tracking failed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum OnFailure {
-    /// The frame gets no pose and is not fused; the next one is tracked from the last good pose.
-    #[default]
-    StopIntegrating,
-    /// The last good pose is taken for the frame's, and it is fused there.
-    Ignore,
-}
-
-/// Point-to-plane ICP on a pyramid (Newcombe et al. 2011, *KinectFusion*, section 3.5; the report, section 3.1.1).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct IcpSettings {
-    /// One letter a pyramid level, from coarse to fine: `r` estimates rotation, `t` translation, `b` both, `n` nothing.
-    pub levels: String,
-    /// Largest number of steps at the coarsest level.
-    pub max_steps_coarse: u32,
-    /// Largest number of steps at the finest level; those between are interpolated.
-    pub max_steps_fine: u32,
-    /// Largest distance of corresponding points at the coarsest level, in metres.
-    pub max_distance_coarse_m: f32,
-    /// Largest distance of corresponding points at the finest level, in metres; those between are interpolated.
-    pub max_distance_fine_m: f32,
-    /// A level ends when a step moves less than this (metres and radians, as the norm of the twist).
-    pub min_step: f64,
-    /// Tracking has failed where a smaller share of the frame's valid points finds a partner at the finest level.
-    pub min_inlier_share: f64,
-    /// Tracking has failed where fewer points find a partner at the finest level.
-    pub min_inliers: u32,
-}
-
-impl Default for IcpSettings {
-    fn default() -> Self {
-        Self {
-            levels: "rrrbb".into(),
-            max_steps_coarse: 10,
-            max_steps_fine: 4,
-            max_distance_coarse_m: 0.1,
-            max_distance_fine_m: 0.045,
-            min_step: 1e-4,
-            min_inlier_share: 0.2,
-            min_inliers: 1000,
-        }
-    }
-}
-
 /// Why settings cannot be used.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SettingsError {
@@ -175,6 +129,14 @@ pub enum SettingsError {
     NotAnOverride {
         /// As given.
         given: String,
+    },
+    /// A tracker's string that cannot be used.
+    #[error("the tracker '{given}': {message}")]
+    TrackerString {
+        /// As given.
+        given: String,
+        /// What is wrong, and what would do.
+        message: String,
     },
     /// A value out of its range.
     #[error("{key} must be {expected}, not {found}")]
@@ -203,9 +165,14 @@ impl Settings {
         };
         let mut tree = toml::Table::new();
         if let Some((name, text)) = file {
-            // Deserialised once on its own, so that an error names the file's line.
-            toml::from_str::<Self>(text).map_err(|e| parse_error(name, &e))?;
             tree = text.parse().map_err(|e| parse_error(name, &e))?;
+            if tree.get("tracker").is_some_and(toml::Value::is_str) {
+                unfold_tracker(&mut tree).map_err(|e| parse_error(name, &e))?;
+                Self::deserialize(tree.clone()).map_err(|e| parse_error(name, &e))?;
+            } else {
+                // Deserialised once on its own, so that an error names the file's line.
+                toml::from_str::<Self>(text).map_err(|e| parse_error(name, &e))?;
+            }
         }
         for given in overrides {
             let not_an_override = || SettingsError::NotAnOverride { given: given.clone() };
@@ -226,7 +193,14 @@ impl Settings {
                     .as_table_mut()
                     .ok_or_else(|| parse_error(given, &format!("'{part}' is a value, not a group of settings")))?;
             }
-            table.insert(last.into(), value);
+            if key == "tracker" && value.is_str() {
+                // What earlier overrides said stays, where the string does not say otherwise.
+                let before = tree.remove("tracker");
+                tree.insert("tracker".into(), value);
+                unfold_tracker_over(&mut tree, before).map_err(|e| parse_error(given, &e))?;
+            } else {
+                table.insert(last.into(), value);
+            }
             Self::deserialize(tree.clone()).map_err(|e| parse_error(given, &e))?;
         }
         let settings = Self::deserialize(tree).map_err(|e| parse_error("settings", &e))?;
@@ -247,22 +221,19 @@ impl Settings {
     /// # Errors
     /// The first value out of range.
     pub fn validate(&self) -> Result<(), SettingsError> {
-        fn check(
-            ok: bool,
-            key: &'static str,
-            expected: &'static str,
-            found: impl ToString,
-        ) -> Result<(), SettingsError> {
-            if ok { Ok(()) } else { Err(SettingsError::Value { key, expected, found: found.to_string() }) }
-        }
-        let Self { device: _, view, map, tracker: TrackerSettings { icp, on_failure: _ } } = self;
-        let in_range = |v: f32, lo: f32, hi: f32| v.is_finite() && v >= lo && v <= hi;
+        let Self { device: _, view, map, tracker } = self;
         check(in_range(view.min_depth_m, 0.0, 1000.0), "view.min_depth_m", "between 0 and 1000", view.min_depth_m)?;
         check(
             in_range(view.max_depth_m, 0.0, 1000.0) && view.max_depth_m > view.min_depth_m,
             "view.max_depth_m",
             "larger than view.min_depth_m and at most 1000",
             view.max_depth_m,
+        )?;
+        check(
+            view.colour_delay_s.is_finite() && view.colour_delay_s.abs() <= 1.0,
+            "view.colour_delay_s",
+            "between -1 and 1",
+            view.colour_delay_s,
         )?;
         check(view.bilateral.passes <= 32, "view.bilateral.passes", "at most 32", view.bilateral.passes)?;
         check(in_range(map.voxel_size_m, 1e-4, 10.0), "map.voxel_size_m", "between 0.0001 and 10", map.voxel_size_m)?;
@@ -280,37 +251,40 @@ impl Settings {
             "between 1 and 16777216",
             map.initial_blocks,
         )?;
-        check(
-            !icp.levels.is_empty() && icp.levels.len() <= 8 && icp.levels.chars().all(|c| "rtbn".contains(c)),
-            "tracker.icp.levels",
-            "one to eight of the letters r, t, b, n",
-            &icp.levels,
-        )?;
-        check(
-            in_range(icp.max_distance_coarse_m, 1e-4, 10.0),
-            "tracker.icp.max_distance_coarse_m",
-            "between 0.0001 and 10",
-            icp.max_distance_coarse_m,
-        )?;
-        check(
-            in_range(icp.max_distance_fine_m, 1e-4, 10.0),
-            "tracker.icp.max_distance_fine_m",
-            "between 0.0001 and 10",
-            icp.max_distance_fine_m,
-        )?;
-        check(
-            icp.min_step.is_finite() && icp.min_step >= 0.0,
-            "tracker.icp.min_step",
-            "zero or positive",
-            icp.min_step,
-        )?;
-        check(
-            (0.0..=1.0).contains(&icp.min_inlier_share),
-            "tracker.icp.min_inlier_share",
-            "between 0 and 1",
-            icp.min_inlier_share,
-        )
+        tracker.validate()
     }
+}
+
+fn check(
+    ok: bool,
+    key: &'static str,
+    expected: &'static str,
+    found: impl ToString,
+) -> Result<(), SettingsError> {
+    if ok { Ok(()) } else { Err(SettingsError::Value { key, expected, found: found.to_string() }) }
+}
+
+fn in_range(v: f32, lo: f32, hi: f32) -> bool {
+    v.is_finite() && v >= lo && v <= hi
+}
+
+/// Replaces a tracker's string by the tree that it stands for.
+fn unfold_tracker(tree: &mut toml::Table) -> Result<(), SettingsError> {
+    unfold_tracker_over(tree, None)
+}
+
+/// The same, over a tree from before.
+fn unfold_tracker_over(tree: &mut toml::Table, before: Option<toml::Value>) -> Result<(), SettingsError> {
+    let Some(toml::Value::String(given)) = tree.remove("tracker") else { return Ok(()) };
+    let mut settings = match before {
+        // It has been read before, so it can be read.
+        Some(before) => TrackerSettings::deserialize(before).unwrap_or_default(),
+        None => TrackerSettings::default(),
+    };
+    settings.set_string(&given)?;
+    let value = toml::Value::try_from(&settings).expect("settings are tables of numbers, strings and switches");
+    tree.insert("tracker".into(), value);
+    Ok(())
 }
 
 #[cfg(test)]

@@ -1,0 +1,177 @@
+//! The kinds of tracker, and how several work together.
+
+use itm_core::{CompositePolicy, Frame, Se3, Settings, TrackerKind};
+
+use super::plan::{Age, Plan};
+use super::{Exposure, Guess, Motion, Noise, Objective, Outcome, Tracked, Verdict, optimise, verdict};
+use crate::Error;
+
+/// A tracker, with what it has learnt of the sensor.
+#[derive(Debug)]
+pub struct Tracker {
+    settings: Settings,
+    /// Of a composite.
+    parts: Vec<Tracker>,
+    noise: Noise,
+    /// Between the map's colours and the last frame's.
+    map_exposure: Exposure,
+}
+
+impl Tracker {
+    /// Prepares the tracker that the settings choose.
+    ///
+    /// # Errors
+    /// Where the settings cannot be used.
+    pub fn new(settings: &Settings) -> Result<Self, Error> {
+        let parts = match settings.tracker.kind {
+            TrackerKind::Composite => settings.tracker.parts()?,
+            _ => Vec::new(),
+        };
+        let parts = parts
+            .into_iter()
+            .map(|tracker| Self::new(&Settings { tracker, ..settings.clone() }))
+            .collect::<Result<_, _>>()?;
+        let noise = Noise::default();
+        Ok(Self { settings: settings.clone(), parts, noise, map_exposure: Exposure::default() })
+    }
+
+    /// The plans that the tracker, and those that it is made of, carry out.
+    pub fn plans(&self, age: Age) -> Vec<Plan> {
+        if self.settings.tracker.kind == TrackerKind::Composite {
+            return self.parts.iter().flat_map(|part| part.plans(age)).collect();
+        }
+        self.plan(age).into_iter().collect()
+    }
+
+    fn plan(&self, age: Age) -> Option<Plan> {
+        let settings = &self.settings;
+        let t = &settings.tracker;
+        match t.kind {
+            TrackerKind::Icp => Some(Plan::icp(settings, &t.icp, &t.icp.levels)),
+            TrackerKind::ImuIcp => Some(Plan::icp(settings, &t.icp, &t.imu.icp_levels)),
+            TrackerKind::Extended => Some(Plan::extended(settings, &t.extended, &t.extended.levels, age)),
+            TrackerKind::ExtendedImu => Some(Plan::extended(settings, &t.extended, &t.imu.extended_levels, age)),
+            TrackerKind::Rgb => Some(Plan::rgb(settings, &t.rgb)),
+            TrackerKind::File | TrackerKind::ForceFail | TrackerKind::Composite => None,
+        }
+    }
+
+    /// Finds a frame's pose. `further` are poses to start from beside those that the camera's motion suggests.
+    ///
+    /// # Errors
+    /// Where the device was lost, or a file with poses cannot be read. That tracking failed is no error but a verdict.
+    pub fn track(
+        &mut self,
+        objective: &mut dyn Objective,
+        frame: &Frame,
+        motion: &Motion,
+        age: Age,
+        further: &[Se3],
+    ) -> Result<Tracked, Error> {
+        let starts = self.starts(frame, motion, further);
+        self.track_from(objective, frame, motion, age, &starts)
+    }
+
+    /// Finds a frame's pose from certain poses.
+    ///
+    /// # Errors
+    /// As [`Tracker::track`].
+    pub fn track_from(
+        &mut self,
+        objective: &mut dyn Objective,
+        frame: &Frame,
+        motion: &Motion,
+        age: Age,
+        starts: &[Se3],
+    ) -> Result<Tracked, Error> {
+        let held = motion.last().or(starts.first().copied()).unwrap_or_default();
+        match self.settings.tracker.kind {
+            TrackerKind::ForceFail => Ok(Tracked::lost(held, "this tracker always fails".into())),
+            TrackerKind::File => todo!(),
+            TrackerKind::Composite => self.track_composite(objective, frame, motion, age, starts),
+            _ => {
+                let plan = self.plan(age).expect("every other kind has a plan");
+                let mut exposure = [Exposure::default(); 2];
+                exposure[super::Against::Map as usize] = self.map_exposure;
+                let guesses: Vec<Guess> =
+                    starts.iter().map(|p| Guess { world_from_camera: *p, exposure }).collect();
+                let outcome = optimise(objective, &guesses, &plan, &self.noise)?;
+                let tracked = self.judge(&plan, &outcome, starts, motion, frame);
+                if tracked.verdict == Verdict::Good {
+                    self.noise = self.noise.measured(&outcome.last);
+                    self.map_exposure = outcome.guess.exposure[super::Against::Map as usize];
+                }
+                Ok(tracked)
+            }
+        }
+    }
+
+    fn track_composite(
+        &mut self,
+        objective: &mut dyn Objective,
+        frame: &Frame,
+        motion: &Motion,
+        age: Age,
+        starts: &[Se3],
+    ) -> Result<Tracked, Error> {
+        let policy = self.settings.tracker.composite.policy;
+        let mut best: Option<Tracked> = None;
+        let mut starts = starts.to_vec();
+        for part in &mut self.parts {
+            let found = part.track_from(objective, frame, motion, age, &starts)?;
+            match policy {
+                CompositePolicy::FirstSuccess => {
+                    let better = best.as_ref().is_none_or(|b| found.verdict < b.verdict);
+                    let good = found.verdict == Verdict::Good;
+                    if better {
+                        best = Some(found);
+                    }
+                    if good {
+                        break;
+                    }
+                }
+                CompositePolicy::Refine => {
+                    starts = vec![found.estimate];
+                    best = Some(found);
+                }
+                CompositePolicy::Sequential => {
+                    starts = vec![found.estimate];
+                    let lost = found.verdict == Verdict::Lost;
+                    best = Some(match best {
+                        Some(before) if before.verdict > found.verdict => {
+                            Tracked { verdict: before.verdict, reasons: before.reasons, ..found }
+                        }
+                        _ => found,
+                    });
+                    if lost {
+                        break;
+                    }
+                }
+            }
+        }
+        Ok(best.expect("a composite has at least one tracker"))
+    }
+
+    /// Poses to start from, the likeliest first.
+    fn starts(&self, frame: &Frame, motion: &Motion, further: &[Se3]) -> Vec<Se3> {
+        let t = &self.settings.tracker;
+        let last = motion.last().unwrap_or_default();
+        let imu = |kind: TrackerKind| matches!(kind, TrackerKind::ImuIcp | TrackerKind::ExtendedImu);
+        let uses_imu = imu(t.kind) || self.parts.iter().any(|part| imu(part.settings.tracker.kind));
+        let mut starts = Vec::new();
+        let turned = if uses_imu { motion.turned(frame, &t.imu) } else { None };
+        let predicted = motion.predicted(frame.timestamp).filter(|_| t.predict_motion);
+        starts.extend(match (turned, predicted) {
+            // Where the camera goes as before, but turned as the sensor says.
+            (Some(turned), Some(predicted)) => Some(Se3::new(turned.rotation, predicted.translation)),
+            (turned, predicted) => turned.or(predicted),
+        });
+        starts.push(last);
+        starts.extend(further);
+        starts
+    }
+
+    fn judge(&self, plan: &Plan, outcome: &Outcome, starts: &[Se3], motion: &Motion, frame: &Frame) -> Tracked {
+        verdict::judge(&self.settings.tracker.verdict, plan, outcome, starts, motion, frame)
+    }
+}
