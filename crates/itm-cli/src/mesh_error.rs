@@ -4,30 +4,30 @@ use std::path::Path;
 
 use glam::DQuat;
 use itm_core::{Mesh, Se3, Trajectory, evaluation};
-use itm_synth::Scene;
+use itm_synth::{Scene, SceneName};
 use rayon::prelude::*;
 use serde::Serialize;
 
 /// The file in a recording's folder that names its scene.
 const SCENE_FILE: &str = "synthetic_scene.txt";
-/// The one scene that there is.
-const ROOM: &str = "room";
 /// Vertices seen less often are left out, as they are where meshes are compared.
 const LEAST_WEIGHT: u16 = 3;
 
 /// Writes the name of the scene into a recording's folder.
-pub(crate) fn mark_scene(folder: &Path) -> std::io::Result<()> {
-    std::fs::write(folder.join(SCENE_FILE), format!("{ROOM}\n"))
+pub(crate) fn mark_scene(folder: &Path, scene: SceneName) -> std::io::Result<()> {
+    std::fs::write(folder.join(SCENE_FILE), format!("{scene}\n"))
 }
 
 /// The scene that a recording shows, where it is a synthetic one.
 pub(crate) fn scene_of(folder: &Path) -> Option<Scene> {
     let name = std::fs::read_to_string(folder.join(SCENE_FILE)).ok()?;
-    if name.trim() == ROOM {
-        return Some(Scene::room());
+    match name.trim().parse::<SceneName>() {
+        Ok(name) => Some(name.scene()),
+        Err(error) => {
+            tracing::warn!("'{}': {error}, so the mesh is not measured", folder.join(SCENE_FILE).display());
+            None
+        }
     }
-    tracing::warn!("'{}' names no known scene, so the mesh is not measured", folder.join(SCENE_FILE).display());
-    None
 }
 
 /// Distances of a mesh's vertices to the true surface.
@@ -104,6 +104,19 @@ mod tests {
         // Left where it is, it is off by as much as it was moved.
         let moved = MeshError::measure(&mesh, &scene, &Se3::IDENTITY, 0.005).unwrap();
         assert!(moved.median_mm > 50.0, "{moved:?}");
+    }
+
+    #[test]
+    fn every_scene_is_found_again_by_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(scene_of(folder.path()).is_none());
+        for name in SceneName::ALL {
+            mark_scene(folder.path(), name).unwrap();
+            let (found, expected) = (scene_of(folder.path()).unwrap(), name.scene());
+            assert_eq!((found.bounds(), found.objects()), (expected.bounds(), expected.objects()));
+        }
+        std::fs::write(folder.path().join(SCENE_FILE), "garden\n").unwrap();
+        assert!(scene_of(folder.path()).is_none());
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 use itm_io::mesh::MeshOptions;
-use itm_synth::{DepthNoise, InertialNoise, Path, Quality, Sequence, Spec};
+use itm_synth::{Cover, DepthNoise, Exposure, InertialNoise, Path, Quality, SceneName, Sequence, Spec};
 use serde_json::json;
 
 use crate::{console, mesh_error};
@@ -14,7 +14,7 @@ use crate::{console, mesh_error};
 /// Edge of a cell of the exact mesh, in metres.
 const SURFACE_CELL_M: f32 = 0.02;
 
-/// Write a synthetic recording of a furnished room, with exact poses and surface
+/// Write a synthetic recording of furnished rooms, with exact poses and surface
 ///
 /// The folder is in the format of the TUM RGB-D benchmark, with an inertial sensor's readings, calibration.txt,
 /// surface.ply (the true surface) and synthetic_scene.txt, by which `itm run` knows the scene that it measures the
@@ -24,17 +24,24 @@ const SURFACE_CELL_M: f32 = 0.02;
 Examples:
   itm synth room                                     60 frames along an arc, with a Kinect's noise
   itm synth loop --path loop --quality fine          450 frames once around
-  itm synth small --size 320x240 --frames 30 --noise off")]
+  itm synth small --size 320x240 --frames 30 --noise off
+  itm synth wall --path wall --scene blank-wall      past a wall that neither depth nor colour can be tracked by
+  itm synth hard --path fast --cover gradually --exposure auto --colour-delay 0.015 --motion-blur 0.02")]
 pub(crate) struct Arguments {
     /// Folder to write; made where it is missing, files of the same names are replaced
     out: PathBuf,
-    /// How the camera moves: arc, loop, shake (too fast) or covered (a hand over the lens for a while)
+    /// How the camera moves: arc, loop, shake (too fast), covered (a hand over the lens for a while), fast (a hand in
+    /// a hurry), wall (past a bare wall) or hall (a long way, much of it far from everything)
     #[arg(long, default_value = "arc", value_parser = Path::from_str)]
     path: Path,
+    /// Where: room, hall, wall or blank-wall, each of its own paths [default: the path's scene; for wall the textured one]
+    #[arg(long, value_name = "NAME", value_parser = SceneName::from_str)]
+    scene: Option<SceneName>,
     /// Number of frames, 30 a second [default: as many as the path's duration takes]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     frames: Option<u32>,
-    /// Seconds that the path takes, which sets the camera's speed [default: 2 (arc), 15 (loop), 4 (others)]
+    /// Seconds that the path takes, which sets the camera's speed [default: 2 (arc), 15
+    /// (loop), 12 (fast), 10 (wall), 20 (hall), 4 (others)]
     #[arg(long, value_name = "SECONDS")]
     duration: Option<f64>,
     /// Width and height of the images in pixels
@@ -43,7 +50,20 @@ pub(crate) struct Arguments {
     /// Errors of the sensors
     #[arg(long, value_enum, default_value_t = Noise::Kinect)]
     noise: Noise,
-    /// Chooses the noise: the same seed gives the same recording, byte for byte
+    /// A hand over the lens in the middle of the path's time: no depth, and dark colour, where it is [default: none but
+    /// that of --path covered]
+    #[arg(long, value_enum, value_name = "HOW")]
+    cover: Option<CoverArgument>,
+    /// Brightness of colour
+    #[arg(long, value_enum, default_value_t = ExposureArgument::Fixed)]
+    exposure: ExposureArgument,
+    /// Colour is taken so many seconds later than depth
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
+    colour_delay: f64,
+    /// Seconds that the colour camera's shutter is open, which blurs what moves; 0 is sharp, more takes four times as long
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    motion_blur: f64,
+    /// Chooses the noise and the side that a hand comes from: the same seed gives the same recording, byte for byte
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Work that goes into colours
@@ -73,6 +93,24 @@ enum QualityArgument {
     Fine,
 }
 
+#[derive(Clone, Copy, ValueEnum)]
+enum CoverArgument {
+    /// All of the image, from 40 to 70 % of the time
+    Wholly,
+    /// Three fifths of the image, from 40 to 70 % of the time
+    Partly,
+    /// More and more of it until it is dark, then less and less, from 30 to 80 % of the time
+    Gradually,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ExposureArgument {
+    /// Goes up and down with time, and a little from frame to frame
+    Auto,
+    /// The same throughout
+    Fixed,
+}
+
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let sequence = Sequence::new(arguments.spec())?;
     let frames = sequence.spec().frames;
@@ -83,11 +121,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let surface = written.folder.join("surface.ply");
     let mesh = itm_synth::exact_mesh(sequence.scene(), SURFACE_CELL_M)?;
     itm_io::mesh::write(&surface, &mesh, &MeshOptions::default())?;
-    mesh_error::mark_scene(&written.folder).context("cannot name the scene")?;
+    mesh_error::mark_scene(&written.folder, sequence.spec().scene).context("cannot name the scene")?;
 
     if arguments.json {
         console::print_json(&json!({
             "folder": written.folder,
+            "scene": sequence.spec().scene.name(),
             "frames": frames,
             "ground_truth": written.ground_truth,
             "calibration": written.calibration,
@@ -109,6 +148,15 @@ impl Arguments {
         }
         spec.frames = self.frames.unwrap_or(spec.frames).max(1);
         spec.seed = self.seed;
+        spec.scene = self.scene.unwrap_or(spec.scene);
+        spec.cover = self.cover.map(|cover| match cover {
+            CoverArgument::Wholly => Cover::WHOLLY,
+            CoverArgument::Partly => Cover::PARTLY,
+            CoverArgument::Gradually => Cover::GRADUALLY,
+        });
+        spec.exposure = (self.exposure == ExposureArgument::Auto).then_some(Exposure::AUTO);
+        spec.colour_delay_s = self.colour_delay;
+        spec.motion_blur_s = self.motion_blur;
         spec.quality = match self.quality {
             QualityArgument::Draft => Quality::Draft,
             QualityArgument::Fine => Quality::Fine,

@@ -5,14 +5,32 @@ use std::path::PathBuf;
 use itm_core::CalibrationError;
 use thiserror::Error;
 
+use crate::{Path, SceneName};
+
 /// Why a recording or a surface could not be made.
 #[derive(Debug, Error)]
 pub enum Error {
     /// No path has this name.
-    #[error("there is no path named '{found}'; there are arc, loop, shake and covered")]
+    #[error("there is no path named '{found}'; there are arc, loop, shake, covered, fast, wall and hall")]
     UnknownPath {
         /// The name asked for.
         found: String,
+    },
+    /// No scene has this name.
+    #[error("there is no scene named '{found}'; there are room, hall, wall and blank-wall")]
+    UnknownScene {
+        /// The name asked for.
+        found: String,
+    },
+    /// The path leads through another scene.
+    #[error("the path '{path}' does not lead through the scene '{found}' but through '{expected}'")]
+    Scene {
+        /// The path.
+        path: Path,
+        /// The scene asked for.
+        found: SceneName,
+        /// The scene that the path is made for.
+        expected: SceneName,
     },
     /// A number that cannot be meant.
     #[error("{name} must be {expected}, not {found}")]

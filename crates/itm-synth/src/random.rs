@@ -7,6 +7,8 @@ use rand::{Rng, RngExt};
 pub(crate) enum Stream {
     Depth,
     Inertial,
+    Cover,
+    Exposure,
 }
 
 impl Stream {
@@ -15,6 +17,8 @@ impl Stream {
         let salt = match self {
             Self::Depth => 0x6465_7074,
             Self::Inertial => 0x696d_7520,
+            Self::Cover => 0x636f_7672,
+            Self::Exposure => 0x6578_706f,
         };
         mix(mix(mix(seed) ^ salt) ^ index)
     }

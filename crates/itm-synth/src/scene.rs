@@ -66,6 +66,13 @@ impl Object {
         self
     }
 
+    /// The same solid taken along by a motion of the world: turned by `turn`, so that what was at `from` is at `to`.
+    pub(crate) fn moved(mut self, from: Vec3, to: Vec3, turn: Quat) -> Self {
+        self.centre = to + turn * (self.centre - from);
+        self.local_from_world *= Mat3::from_quat(turn.conjugate());
+        self
+    }
+
     fn to_local(self, p: Vec3) -> Vec3 {
         self.local_from_world * (p - self.centre)
     }
@@ -229,9 +236,11 @@ impl Grid {
     fn new(objects: &[Object], bounds: &Bounds) -> Self {
         let extent = (bounds.max - bounds.min).max(Vec3::splat(Self::CELL_M));
         let cell_m = Self::CELL_M.max((extent.element_product() / Self::MAX_CELLS).cbrt());
-        let size = (extent / cell_m).ceil().as_ivec3();
+        // One more cell on each side: rays that end at a wall on the bounds end a rounding error beyond them.
+        let min = bounds.min - cell_m;
+        let size = (extent / cell_m).ceil().as_ivec3() + 2;
         let cells = vec![[0, 0]; size.element_product() as usize];
-        let mut grid = Self { min: bounds.min, cell_m, cells_per_m: cell_m.recip(), size, cells, lists: Vec::new() };
+        let mut grid = Self { min, cell_m, cells_per_m: cell_m.recip(), size, cells, lists: Vec::new() };
         let all: Vec<u32> = (0..objects.len() as u32).collect();
         grid.fill(objects, IVec3::ZERO, size, &all);
         grid

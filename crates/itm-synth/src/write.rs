@@ -33,7 +33,8 @@ pub struct Written {
 ///
 /// - `rgb/`, `depth/`: PNG images; depth has 16 bits and 5000 steps for a metre, 0 where nothing is seen (and beyond
 ///   13.1 m, which 16 bits cannot say).
-/// - `rgb.txt`, `depth.txt`: time stamp in seconds and file of each image; `associations.txt`: both, colour first.
+/// - `rgb.txt`, `depth.txt`: time stamp in seconds and file of each image; `associations.txt`: both, colour first. A
+///   sequence without colour has `depth.txt` alone.
 /// - `groundtruth.txt`: `timestamp tx ty tz qx qy qz qw`, the exact pose of each frame, camera to world.
 /// - `gyroscope.txt`, `accelerometer.txt`: `timestamp x y z` in the camera's axes, in rad/s and m/s².
 /// - `calibration.txt`: in InfiniTAM's format: size, focal lengths and principal point of colour and depth camera,
@@ -120,15 +121,18 @@ fn write_lists(folder: &Path, sequence: &Sequence) -> Result<(), Error> {
     let mut rgb = String::from("# colour images\n# timestamp filename\n");
     let mut depth = String::from("# depth maps\n# timestamp filename\n");
     for i in 0..sequence.spec().frames {
-        let time = sequence.timestamp(i);
+        let (time, colour_time) = (sequence.timestamp(i), sequence.colour_timestamp(i));
         let (of_rgb, of_depth) = (image_name("rgb", i.into()), image_name("depth", i.into()));
         // Writing to a string cannot fail.
-        let _ = writeln!(rgb, "{time} {of_rgb}");
+        let _ = writeln!(rgb, "{colour_time} {of_rgb}");
         let _ = writeln!(depth, "{time} {of_depth}");
-        let _ = writeln!(associations, "{time} {of_rgb} {time} {of_depth}");
+        let _ = writeln!(associations, "{colour_time} {of_rgb} {time} {of_depth}");
+    }
+    write_text(&folder.join("depth.txt"), &depth)?;
+    if !sequence.spec().colour {
+        return Ok(());
     }
     write_text(&folder.join("rgb.txt"), &rgb)?;
-    write_text(&folder.join("depth.txt"), &depth)?;
     write_text(&folder.join("associations.txt"), &associations)
 }
 
@@ -230,6 +234,27 @@ mod tests {
         assert_eq!(&numbers[4..], pose.rotation.to_array());
         let list = fs::read_to_string(folder.path().join("associations.txt")).unwrap();
         assert_eq!(list.lines().nth(1).unwrap(), "1.033333333 rgb/000001.png 1.033333333 depth/000001.png");
+    }
+
+    #[test]
+    fn lists_have_the_time_of_delayed_colour() {
+        let spec = Spec { colour_delay_s: 0.012, ..Spec::new(CameraPath::Arc).with_size(8, 6).with_frames(2) };
+        let (folder, _) = written(spec, 1);
+        let last = |name: &str| {
+            let text = fs::read_to_string(folder.path().join(name)).unwrap();
+            text.lines().last().unwrap().to_string()
+        };
+        assert_eq!(last("associations.txt"), "1.045333333 rgb/000001.png 1.033333333 depth/000001.png");
+        assert_eq!(last("rgb.txt"), "1.045333333 rgb/000001.png");
+        assert_eq!(last("depth.txt"), "1.033333333 depth/000001.png");
+    }
+
+    #[test]
+    fn a_recording_without_colour_lists_none() {
+        let spec = Spec { colour: false, ..Spec::new(CameraPath::Arc).with_size(8, 6).with_frames(2) };
+        let (folder, _) = written(spec, 1);
+        assert!(folder.path().join("depth.txt").exists());
+        assert!(!folder.path().join("rgb.txt").exists() && !folder.path().join("associations.txt").exists());
     }
 
     #[test]
