@@ -1,4 +1,4 @@
-// Halves an intensity image: the mean of each 2x2 group.
+// Halves an intensity image: the mean of each 2x2 group, or -1 where one of the four has no colour.
 
 struct Params {
     // Of the image that is read.
@@ -17,10 +17,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     var sum = 0.0;
+    var least = 0.0;
     for (var i = 0u; i < 4u; i++) {
         // A side of one pixel has no second one.
         let p = min(2u * id.xy + vec2(i & 1u, i >> 1u), params.size - vec2(1u));
-        sum += intensity[p.y * params.size.x + p.x];
+        let value = intensity[p.y * params.size.x + p.x];
+        sum += value;
+        least = min(least, value);
     }
-    halved[id.y * params.half_size.x + id.x] = 0.25 * sum;
+    halved[id.y * params.half_size.x + id.x] = select(0.25 * sum, -1.0, least < 0.0);
 }

@@ -1,4 +1,5 @@
-// Colour to intensity between 0 and 1: 0.299 R + 0.587 G + 0.114 B (the report, section 3.1.3).
+// Colour to intensity between 0 and 1: 0.299 R + 0.587 G + 0.114 B (the report, section 3.1.3). Pixels without a colour, whose
+// fourth byte is 0, become -1.
 
 struct Params {
     size: vec2<u32>,
@@ -12,6 +13,7 @@ struct Params {
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let pixels = params.size.x * params.size.y;
     for (var i = id.x; i < pixels; i += groups.x * 64u) {
-        intensity[i] = dot(unpack4x8unorm(colour[i]).rgb, vec3(0.299, 0.587, 0.114));
+        let c = unpack4x8unorm(colour[i]);
+        intensity[i] = select(-1.0, dot(c.rgb, vec3(0.299, 0.587, 0.114)), c.a > 0.0);
     }
 }

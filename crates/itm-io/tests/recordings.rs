@@ -78,10 +78,9 @@ impl Folder {
     fn calibration(&self, name: &str) -> Calibration {
         let camera = |f| Intrinsics::new(WIDTH, HEIGHT, f, f, 3.5, 2.5);
         let calibration = Calibration {
-            depth: camera(10.0),
             colour: camera(11.0),
             colour_from_depth: Se3 { translation: DVec3::new(-0.1, 0.0, 0.0), ..Se3::IDENTITY },
-            depth_conversion: DepthConversion::Affine { scale: 0.25, offset: 0.5 },
+            ..Calibration::registered(camera(10.0), DepthConversion::Affine { scale: 0.25, offset: 0.5 })
         };
         calibration::write(&self.at(name), &calibration).unwrap();
         calibration

@@ -81,10 +81,9 @@ fn list_sequence(folder: Folder) -> Result<Listing, Error> {
         frames,
         preset: Some(Preset {
             calibration: Calibration {
-                depth: DEPTH_CAMERA,
                 colour: COLOUR_CAMERA,
                 colour_from_depth: Se3 { translation: COLOUR_FROM_DEPTH, ..Se3::IDENTITY },
-                depth_conversion: DepthConversion::MILLIMETRES,
+                ..Calibration::registered(DEPTH_CAMERA, DepthConversion::MILLIMETRES)
             },
             source: "7-Scenes preset (depth f = 585, colour f = 525, 2.5 cm apart), recognised from the files' names"
                 .into(),
