@@ -27,8 +27,8 @@ struct Params {
 @if(colour) @group(0) @binding(6) var<storage, read> image: array<u32>;
 @if(colour) @group(0) @binding(7) var<storage, read_write> colours: array<u32>;
 
-@if(colour) fn texel(x: u32, y: u32) -> vec3<f32> {
-    return unpack4x8unorm(image[y * params.colour_camera.size.x + x]).rgb * 255.0;
+@if(colour) fn texel(x: u32, y: u32) -> vec4<f32> {
+    return unpack4x8unorm(image[y * params.colour_camera.size.x + x]) * 255.0;
 }
 
 @if(colour) fn fuse_colour(at: u32, world: vec3<f32>) {
@@ -43,9 +43,15 @@ struct Params {
     let base = vec2<u32>(pixel);
     let f = pixel - floor(pixel);
     let next = min(base + vec2(1u), params.colour_camera.size - vec2(1u));
-    let upper = mix(texel(base.x, base.y), texel(next.x, base.y), f.x);
-    let lower = mix(texel(base.x, next.y), texel(next.x, next.y), f.x);
-    let observed = mix(upper, lower, f.y);
+    let a = texel(base.x, base.y);
+    let b = texel(next.x, base.y);
+    let c = texel(base.x, next.y);
+    let d = texel(next.x, next.y);
+    // A fourth byte of 0 marks pixels without a colour.
+    if min(min(a.a, b.a), min(c.a, d.a)) == 0.0 {
+        return;
+    }
+    let observed = mix(mix(a.rgb, b.rgb, f.x), mix(c.rgb, d.rgb, f.x), f.y);
 
     let word = colours[at];
     let weight = word >> 24u;

@@ -1,4 +1,4 @@
-// Halves a colour image: the mean of each 2x2 group.
+// Halves a colour image: the mean of each 2x2 group; a group with a pixel that has no colour (fourth byte 0) has none.
 
 struct Params {
     // Of the image that is read.
@@ -17,10 +17,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     var sum = vec4(0.0);
+    var least = 1.0;
     for (var i = 0u; i < 4u; i++) {
         // A side of one pixel has no second one.
         let p = min(2u * id.xy + vec2(i & 1u, i >> 1u), params.size - vec2(1u));
-        sum += unpack4x8unorm(colour[p.y * params.size.x + p.x]);
+        let texel = unpack4x8unorm(colour[p.y * params.size.x + p.x]);
+        sum += texel;
+        least = min(least, texel.w);
     }
-    halved[id.y * params.half_size.x + id.x] = pack4x8unorm(0.25 * sum);
+    halved[id.y * params.half_size.x + id.x] = pack4x8unorm(select(vec4(0.0), 0.25 * sum, least > 0.0));
 }

@@ -30,6 +30,8 @@ impl InMemory {
             depth_without_colour: 0,
             has_timestamps: true,
             has_colour: true,
+            has_gyroscope: false,
+            has_imu_orientation: false,
             ground_truth: Some(sequence.trajectory()),
         };
         Self { sequence, info }

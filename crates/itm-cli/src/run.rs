@@ -73,6 +73,9 @@ pub(crate) struct Arguments {
     /// Colour images, likewise
     #[arg(long, value_name = "PATTERN", alias = "color-pattern")]
     colour_pattern: Option<String>,
+    /// Orientations of an inertial sensor, likewise: files with the nine numbers of a rotation matrix
+    #[arg(long, value_name = "PATTERN")]
+    imu_pattern: Option<String>,
     /// Formats of the mesh, one file each: mesh.ply, mesh.glb …
     #[arg(long, value_enum, value_delimiter = ',', default_value = "ply", value_name = "FORMATS")]
     mesh_format: Vec<MeshFormat>,
@@ -235,6 +238,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         calibration: arguments.calibration.clone(),
         depth_pattern: arguments.depth_pattern.clone(),
         colour_pattern: arguments.colour_pattern.clone(),
+        imu_pattern: arguments.imu_pattern.clone(),
     };
     let recording = recording::open(&arguments.recording, &options)?;
     let info = recording.info().clone();

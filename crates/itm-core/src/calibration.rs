@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::{Intrinsics, Se3};
+use crate::{Distortion, Intrinsics, Se3};
 
 /// How a raw depth value becomes metres along the optical axis. Raw 0 and 65535 always mean 'no measurement'.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -44,6 +44,12 @@ pub struct Calibration {
     pub colour_from_depth: Se3,
     /// Meaning of raw depth values.
     pub depth_conversion: DepthConversion,
+    /// The depth camera's lens. Images are undistorted into a pinhole camera's of the same intrinsics before anything else.
+    #[serde(default)]
+    pub depth_distortion: Distortion,
+    /// The colour camera's lens, likewise.
+    #[serde(default)]
+    pub colour_distortion: Distortion,
 }
 
 /// Why a calibration cannot be used.
@@ -71,6 +77,19 @@ pub enum CalibrationError {
         /// What was found.
         value: f64,
     },
+    /// A lens whose image folds over, or is nowhere.
+    #[error(
+        "the {camera} camera's distortion must have finite coefficients under which the image does not fold over, but it \
+         does at pixel ({x:.0}, {y:.0})"
+    )]
+    Distortion {
+        /// `depth` or `colour`.
+        camera: &'static str,
+        /// A pixel where it does; the one nearest to the principal point of those looked at.
+        x: f64,
+        /// Its row.
+        y: f64,
+    },
     /// A motion or depth conversion with numbers that cannot be meant.
     #[error("{name} must have finite numbers and a scale that is not zero")]
     Degenerate {
@@ -82,7 +101,14 @@ pub enum CalibrationError {
 impl Calibration {
     /// One camera for both images: registered colour and depth.
     pub const fn registered(camera: Intrinsics, depth_conversion: DepthConversion) -> Self {
-        Self { depth: camera, colour: camera, colour_from_depth: Se3::IDENTITY, depth_conversion }
+        Self {
+            depth: camera,
+            colour: camera,
+            colour_from_depth: Se3::IDENTITY,
+            depth_conversion,
+            depth_distortion: Distortion::None,
+            colour_distortion: Distortion::None,
+        }
     }
 
     /// Checks that every number can be meant.
@@ -90,7 +116,9 @@ impl Calibration {
     /// # Errors
     /// The first number that cannot be.
     pub fn validate(&self) -> Result<(), CalibrationError> {
-        for (camera, i) in [("depth", &self.depth), ("colour", &self.colour)] {
+        let cameras =
+            [("depth", &self.depth, &self.depth_distortion), ("colour", &self.colour, &self.colour_distortion)];
+        for (camera, i, distortion) in cameras {
             if !(1..=16384).contains(&i.width) || !(1..=16384).contains(&i.height) {
                 return Err(CalibrationError::ImageSize { camera, width: i.width, height: i.height });
             }
@@ -107,6 +135,9 @@ impl Calibration {
                     return Err(CalibrationError::Value { camera, name, expected: "finite", value });
                 }
             }
+            if let Some(pixel) = distortion.fold(i) {
+                return Err(CalibrationError::Distortion { camera, x: pixel.x, y: pixel.y });
+            }
         }
         if !self.colour_from_depth.is_finite() {
             return Err(CalibrationError::Degenerate { name: "the motion from depth to colour camera" });
@@ -116,5 +147,40 @@ impl Calibration {
             DepthConversion::Disparity { a, b } => a.is_finite() && b.is_finite() && b != 0.0,
         };
         if usable { Ok(()) } else { Err(CalibrationError::Degenerate { name: "the depth conversion" }) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lenses_that_fold_over_are_refused_by_name() {
+        let camera = Intrinsics::new(640, 480, 525.0, 525.0, 319.5, 239.5);
+        let mild = Distortion::brown([0.1, 0.0, 0.0, 0.0, 0.0]);
+        let folding = Distortion::brown([-1.5, 0.0, 0.0, 0.0, 0.0]);
+        let good =
+            Calibration { colour_distortion: mild, ..Calibration::registered(camera, DepthConversion::MILLIMETRES) };
+        assert_eq!(good.validate(), Ok(()));
+        let error = Calibration { depth_distortion: folding, ..good }.validate().unwrap_err();
+        assert!(matches!(error, CalibrationError::Distortion { camera: "depth", .. }), "{error}");
+        let error = Calibration { colour_distortion: folding, ..good }.validate().unwrap_err().to_string();
+        assert!(error.contains("colour camera's distortion") && error.contains("at pixel ("), "{error}");
+        let infinite = Distortion::brown([f64::INFINITY, 0.0, 0.0, 0.0, 0.0]);
+        assert!(Calibration { colour_distortion: infinite, ..good }.validate().is_err());
+    }
+
+    #[test]
+    fn calibrations_written_before_there_were_lenses_are_read() {
+        let camera = "width = 4\nheight = 3\nfx = 5.0\nfy = 5.0\ncx = 1.5\ncy = 1.0\n";
+        let pose = "rotation = [0.0, 0.0, 0.0, 1.0]\ntranslation = [0.0, 0.0, 0.0]\n";
+        let conversion = "kind = \"affine\"\nscale = 0.001\noffset = 0.0\n";
+        let old =
+            format!("[depth]\n{camera}[colour]\n{camera}[colour_from_depth]\n{pose}[depth_conversion]\n{conversion}");
+        let calibration: Calibration = toml::from_str(&old).unwrap();
+        assert!(calibration.depth_distortion.is_none() && calibration.colour_distortion.is_none());
+        let lens = "[depth_distortion]\nkind = \"brown\"\nk1 = 0.1\nk2 = 0.0\np1 = 0.0\np2 = 0.0\nk3 = 0.0\n";
+        let calibration: Calibration = toml::from_str(&(old + lens)).unwrap();
+        assert_eq!(calibration.depth_distortion, Distortion::brown([0.1, 0.0, 0.0, 0.0, 0.0]));
     }
 }

@@ -10,7 +10,8 @@ pub struct Image<T> {
     data: Vec<T>,
 }
 
-/// A colour image: red, green, blue and an unused byte, so that a pixel is one 32-bit word on the GPU.
+/// A colour image: red, green, blue and a byte that is 0 where a pixel has no colour and anything else (mostly 255) where it
+/// has one. A pixel is one 32-bit word on the GPU.
 pub type ColourImage = Image<[u8; 4]>;
 
 /// The number of values does not fit the size given.

@@ -10,6 +10,7 @@
 
 mod calibration;
 mod camera;
+mod distortion;
 pub mod evaluation;
 mod frame;
 mod image;
@@ -21,6 +22,7 @@ pub mod voxel;
 
 pub use calibration::{Calibration, CalibrationError, DepthConversion};
 pub use camera::Intrinsics;
+pub use distortion::Distortion;
 pub use frame::{AngularRate, DepthImage, Frame, Timestamp};
 pub use image::{ColourImage, Image, ImageSizeError};
 pub use mesh::Mesh;

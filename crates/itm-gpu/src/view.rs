@@ -1,8 +1,8 @@
 //! Stage `view`: from a frame's images to what tracking and fusion use (the report, section 3; Newcombe et al. 2011,
 //! section 3.2).
 
-use itm_core::{Calibration, ColourImage, DepthConversion, DepthImage, Frame, Image, Intrinsics};
-use itm_shaders::view;
+use itm_core::{Calibration, ColourImage, DepthConversion, DepthImage, Distortion, Frame, Image, Intrinsics};
+use itm_shaders::{types, view};
 
 use crate::map::camera_params;
 use crate::recorder::{Groups, Pipeline};
@@ -29,6 +29,8 @@ pub struct View {
     calibration: Calibration,
     raw: wgpu::Buffer,
     scratch: wgpu::Buffer,
+    /// The colour image as the lens shows it, where there is a lens.
+    distorted_colour: Option<wgpu::Buffer>,
     depth: Vec<(Intrinsics, wgpu::Buffer)>,
     vertices: Option<(wgpu::Buffer, wgpu::Buffer)>,
     /// Empty until the first frame with colour comes.
@@ -45,7 +47,7 @@ impl View {
         Self {
             calibration: *calibration,
             raw: image("raw depth", depth_camera, 4),
-            scratch: if options.bilateral_passes > 0 {
+            scratch: if options.bilateral_passes > 0 || !calibration.depth_distortion.is_none() {
                 image("depth scratch", depth_camera, 4)
             } else {
                 device.storage("depth scratch", 16)
@@ -57,6 +59,7 @@ impl View {
             vertices: options
                 .vertices
                 .then(|| (image("vertices", depth_camera, 16), image("view normals", depth_camera, 16))),
+            distorted_colour: None,
             colour: Vec::new(),
             has_colour: false,
         }
@@ -115,8 +118,8 @@ impl View {
         self.vertices.as_ref().map(|(v, n)| Ok((read(device, v, camera)?, read(device, n, camera)?))).transpose()
     }
 
-    /// Reads a level of the colour pyramid back; `None` where the frame has no colour. Waits. For tests, exports and
-    /// pictures.
+    /// Reads a level of the colour pyramid back, undistorted; `None` where the frame has no colour. Waits. For tests, exports
+    /// and pictures.
     ///
     /// # Errors
     /// Where the device was lost.
@@ -136,6 +139,8 @@ pub struct ViewStage {
     device: Device,
     convert_depth: Pipeline,
     clip_depth: Pipeline,
+    undistort_depth: Pipeline,
+    undistort_colour: Pipeline,
     bilateral: Pipeline,
     halve_depth: Pipeline,
     vertices: Pipeline,
@@ -152,6 +157,8 @@ impl ViewStage {
             device: device.clone(),
             convert_depth: Pipeline::plain(device, &view::convert_depth::PASS),
             clip_depth: Pipeline::plain(device, &view::clip_depth::PASS),
+            undistort_depth: Pipeline::plain(device, &view::undistort_depth::PASS),
+            undistort_colour: Pipeline::plain(device, &view::undistort_colour::PASS),
             bilateral: Pipeline::plain(device, &view::bilateral::PASS),
             halve_depth: Pipeline::plain(device, &view::halve_depth::PASS),
             vertices: Pipeline::plain(device, &view::vertices::PASS),
@@ -190,9 +197,10 @@ impl ViewStage {
         let size = [camera.width, camera.height];
         let linear = Groups::linear(camera.pixels() as u64, 64);
         let [near_m, far_m] = options.depth_range_m;
-        // With an odd number of filter passes the conversion writes where the first pass reads.
+        let lens = view.calibration.depth_distortion;
+        // With an odd number of passes after it the conversion writes where the first of them reads.
         let (mut from, mut to) = (view.depth(), &view.scratch);
-        if options.bilateral_passes % 2 == 1 {
+        if (options.bilateral_passes + u32::from(!lens.is_none())) % 2 == 1 {
             std::mem::swap(&mut from, &mut to);
         }
         match depth {
@@ -216,6 +224,15 @@ impl ViewStage {
                 let bindings = view::clip_depth::Bindings { params, metres: &view.raw, depth: from };
                 recorder.dispatch(&self.clip_depth, &bindings, linear);
             }
+        }
+        if !lens.is_none() {
+            let params = view::undistort_depth::Params {
+                camera: camera_params(&camera, options.depth_range_m),
+                lens: lens_params(&lens),
+            };
+            let bindings = view::undistort_depth::Bindings { params, distorted: from, depth: to };
+            recorder.dispatch(&self.undistort_depth, &bindings, Groups::image((camera.width, camera.height), (64, 1)));
+            std::mem::swap(&mut from, &mut to);
         }
         for _ in 0..options.bilateral_passes {
             let params = view::bilateral::Params { size };
@@ -251,14 +268,25 @@ impl ViewStage {
     }
 
     fn record_colour(&self, recorder: &mut Recorder, view: &mut View, image: &ColourImage, options: &ViewOptions) {
+        let camera = view.calibration.colour;
+        let lens = view.calibration.colour_distortion;
+        let memory = |label, camera: &Intrinsics| self.device.storage(label, camera.pixels() as u64 * 4);
         if view.colour.is_empty() {
-            let levels = (0..options.colour_levels.max(1)).map(|l| view.calibration.colour.at_level(l as u32));
-            view.colour =
-                levels.map(|camera| (camera, self.device.storage("colour", camera.pixels() as u64 * 4))).collect();
+            let levels = (0..options.colour_levels.max(1)).map(|level| camera.at_level(level as u32));
+            view.colour = levels.map(|camera| (camera, memory("colour", &camera))).collect();
         }
-        // The fourth byte tells pixels with a colour from those without, whatever came in it.
-        let words: Vec<[u8; 4]> = image.data().iter().map(|[r, g, b, _]| [*r, *g, *b, 255]).collect();
-        self.device.queue.write_buffer(&view.colour[0].1, 0, bytemuck::cast_slice(&words));
+        let colour = &view.colour[0].1;
+        let values = bytemuck::cast_slice(image.data());
+        if lens.is_none() {
+            self.device.queue.write_buffer(colour, 0, values);
+        } else {
+            let distorted = &*view.distorted_colour.get_or_insert_with(|| memory("distorted colour", &camera));
+            self.device.queue.write_buffer(distorted, 0, values);
+            let params =
+                view::undistort_colour::Params { camera: camera_params(&camera, [0.0; 2]), lens: lens_params(&lens) };
+            let bindings = view::undistort_colour::Bindings { params, distorted, colour };
+            recorder.dispatch(&self.undistort_colour, &bindings, Groups::image((camera.width, camera.height), (64, 1)));
+        }
         for pair in view.colour.windows(2) {
             let [(fine, colour), (coarse, halved)] = pair else { unreachable!("windows of two") };
             let params = view::halve_colour::Params {
@@ -269,6 +297,11 @@ impl ViewStage {
             recorder.dispatch(&self.halve_colour, &bindings, Groups::image((coarse.width, coarse.height), (64, 1)));
         }
     }
+}
+
+fn lens_params(lens: &Distortion) -> types::Distortion {
+    let [k1, k2, p1, p2, k3, k4, k5, k6] = lens.coefficients().map(|c| c as f32);
+    types::Distortion { k1, k2, p1, p2, k3, k4, k5, k6 }
 }
 
 fn check_size(image: &'static str, found: (u32, u32), expected: (u32, u32)) -> Result<(), Error> {

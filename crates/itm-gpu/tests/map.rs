@@ -124,6 +124,7 @@ proptest! {
         max_weight in prop_oneof![Just(1u16), Just(2), Just(100), Just(65_535)],
         stop_at_max_weight: bool,
         shifted_colour: bool,
+        gaps: bool,
     ) {
         let Some(gpu) = common::gpu() else { return Ok(()) };
         let depth_camera = common::camera(size.0, size.1);
@@ -140,7 +141,12 @@ proptest! {
         fusion.options = IntegrateOptions { max_weight, stop_at_max_weight, ..OPTIONS };
         for (pose, i) in poses.iter().zip(0..) {
             // One frame without colour among those with.
-            let image = (colour && i != 1).then(|| common::colours(&calibration.colour));
+            let image = (colour && i != 1).then(|| {
+                let mut image = common::colours(&calibration.colour);
+                // Every seventh pixel has no colour.
+                image.data_mut().iter_mut().step_by(7).for_each(|pixel| pixel[3] = if gaps { 0 } else { 255 });
+                image
+            });
             let frame = common::frame(noisy_room(&depth_camera, pose, seed ^ i), image);
             fusion.allocate(gpu, &frame, pose);
             // From what the device held before, so that differences do not add up over the frames.
@@ -209,6 +215,7 @@ fn on_border(
     colour_only: bool,
 ) -> bool {
     let calibration = observation.calibration;
+    let gaps = observation.colour.is_some_and(|c| c.data().iter().any(|[.., alpha]| *alpha == 0));
     let near_integer = |v: f64| (v - v.round()).abs() < MARGIN_PX;
     let in_camera = observation.world_from_camera.inverse().transform_point(world);
     let between_pixels =
@@ -221,7 +228,9 @@ fn on_border(
         let pixel = calibration.colour.project(calibration.colour_from_depth.transform_point(in_camera));
         eta.is_some_and(|eta| (eta.abs() - band).abs() < MARGIN_M)
             || pixel.is_some_and(|p| {
-                p.x.abs() < MARGIN_PX
+                // Where there are pixels without colour, it counts between which four a point lies.
+                (gaps && (near_integer(p.x) || near_integer(p.y)))
+                    || p.x.abs() < MARGIN_PX
                     || p.y.abs() < MARGIN_PX
                     || (p.x - last(calibration.colour.width)).abs() < MARGIN_PX
                     || (p.y - last(calibration.colour.height)).abs() < MARGIN_PX
@@ -267,7 +276,7 @@ fn colours_are_fused_near_the_surface_and_nowhere_else() {
     let camera = common::camera(80, 60);
     let scene = Scene(vec![Shape::Plane { normal: DVec3::Z, distance: 1.5 }]);
     let mut fusion = Fusion::new(gpu, camera, 0.02, true, 2_000);
-    let image = Image::from_fn(80, 60, |x, _| if x < 40 { [250, 10, 0, 0] } else { [0, 20, 240, 0] });
+    let image = Image::from_fn(80, 60, |x, _| if x < 40 { [250, 10, 0, 255] } else { [0, 20, 240, 255] });
     fusion.fuse(gpu, &common::frame(scene.depth(&camera, &Se3::IDENTITY), Some(image)), &Se3::IDENTITY);
     let map = fusion.read();
     let mut coloured = 0;

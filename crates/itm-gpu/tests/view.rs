@@ -2,8 +2,10 @@
 
 mod common;
 
-use glam::DVec3;
-use itm_core::{Calibration, ColourImage, DepthConversion, DepthImage, Frame, Image, Intrinsics, Se3, Timestamp};
+use glam::{DVec2, DVec3};
+use itm_core::{
+    Calibration, ColourImage, DepthConversion, DepthImage, Distortion, Frame, Image, Intrinsics, Se3, Timestamp,
+};
 use itm_gpu::view::{ViewOptions, ViewStage};
 use itm_gpu::{Device, Error, Recorder, View, reference};
 use proptest::prelude::*;
@@ -147,10 +149,10 @@ proptest! {
         };
         let colour = ColourImage::from_fn(size.0, size.1, |x, y| {
             let value = (x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ seed).wrapping_mul(0xc2b2_ae35);
-            value.to_le_bytes()
+            let [r, g, b, a] = value.to_le_bytes();
+            [r, g, b, if a < 20 { 0 } else { 255 }]
         });
-        let with_alpha = |[r, g, b, _]: [u8; 4]| [r, g, b, 255];
-        let mut expected = ColourImage::from_fn(size.0, size.1, |x, y| with_alpha(colour[(x, y)]));
+        let mut expected = colour.clone();
         let view = run(device, &calibration, &common::frame(Image::filled(7, 5, 1.0), Some(colour)), &OPTIONS);
         for level in 0..OPTIONS.colour_levels {
             let found = view.read_colour(device, level).unwrap().unwrap();
@@ -162,6 +164,157 @@ proptest! {
             expected = reference::view::halve_colour(&found);
         }
     }
+}
+
+/// Lenses that are mild enough for no image of the test's cameras to fold over.
+fn lens() -> impl Strategy<Value = Distortion> {
+    prop_oneof![
+        (prop::array::uniform3(-0.04..0.04f64), prop::array::uniform2(-0.01..0.01f64))
+            .prop_map(|([k1, k2, k3], [p1, p2])| Distortion::brown([k1, k2, p1, p2, k3])),
+        (prop::array::uniform6(-0.04..0.04f64), prop::array::uniform2(-0.01..0.01f64))
+            .prop_map(|([k1, k2, k3, k4, k5, k6], [p1, p2])| Distortion::rational([k1, k2, p1, p2, k3, k4, k5, k6])),
+    ]
+}
+
+proptest! {
+    #![proptest_config(common::cases(16))]
+
+    #[test]
+    fn lenses_are_undone_as_the_reference_does(
+        size in size(),
+        seed in any::<[u32; 4]>(),
+        (depth_lens, colour_lens) in (lens(), lens()),
+        negative_fy: bool,
+        passes in 0..3u32,
+    ) {
+        /// How far single precision may move the place that a pixel is taken from.
+        const MARGIN_PX: f64 = 1e-3;
+        let Some(device) = common::device() else { return Ok(()) };
+        // The principal point within the pixels' centres: elsewhere an image of one pixel would reach too far to a side.
+        let centred = |c: Intrinsics| {
+            Intrinsics { cx: 0.49 * f64::from(c.width - 1), cy: 0.52 * f64::from(c.height - 1), ..c }
+        };
+        let depth_camera = centred(camera(size, negative_fy));
+        let colour_camera = centred(camera((size.1 + 3, size.0), false));
+        let calibration = Calibration {
+            colour: colour_camera,
+            depth_distortion: depth_lens,
+            colour_distortion: colour_lens,
+            ..Calibration::registered(depth_camera, DepthConversion::MILLIMETRES)
+        };
+        prop_assert_eq!(calibration.validate(), Ok(()));
+        let colour = ColourImage::from_fn(colour_camera.width, colour_camera.height, |x, y| {
+            let wave = |a: f64, b: f64| (127.5 + 127.4 * (a * f64::from(x) + b * f64::from(y)).sin()) as u8;
+            // Some have no colour.
+            let hash = (x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ seed[3]).wrapping_mul(0xc2b2_ae35) >> 8;
+            [wave(0.31, 0.12), wave(-0.07, 0.4), wave(0.5, -0.5), if hash.is_multiple_of(40) { 0 } else { 255 }]
+        });
+        let frame = common::frame(depth_image(size, seed), Some(colour.clone()));
+        let view = run(device, &calibration, &frame, &OPTIONS);
+
+        let DepthImage::Metres(metres) = &frame.depth else { unreachable!("made of metres") };
+        let clipped = reference::view::clip_depth(metres, RANGE_M);
+        let undistorted = reference::view::undistort_depth(&clipped, &depth_camera, &depth_lens);
+        let depth = view.read_depth(device, 0).unwrap();
+        let near = |v: f64, at: f64| (v - at).abs() < MARGIN_PX;
+        let near_integer = |v: f64| near(v, v.round());
+        for y in 0..size.1 {
+            for x in 0..size.0 {
+                let source = depth_lens.distort_pixel(&depth_camera, DVec2::new(x.into(), y.into()));
+                // Between two pixels either is as near.
+                let border = near_integer(source.x + 0.5) || near_integer(source.y + 0.5);
+                prop_assert!(border || depth[(x, y)] == undistorted[(x, y)], "({x}, {y}) from {source}");
+            }
+        }
+
+        let expected = reference::view::undistort_colour(&colour, &colour_camera, &colour_lens);
+        let found = view.read_colour(device, 0).unwrap().expect("the frame has colour");
+        for y in 0..colour_camera.height {
+            for x in 0..colour_camera.width {
+                let (a, b) = (found[(x, y)], expected[(x, y)]);
+                // A step of a byte: interpolated colours are rounded.
+                if a[3] == b[3] && a.iter().zip(b).all(|(a, b)| a.abs_diff(b) <= 1) {
+                    continue;
+                }
+                let source = colour_lens.distort_pixel(&colour_camera, DVec2::new(x.into(), y.into()));
+                let ends = |v: f64, size: u32| near_integer(v) || near(v, -0.5) || near(v, f64::from(size) - 0.5);
+                let border = ends(source.x, colour_camera.width) || ends(source.y, colour_camera.height);
+                prop_assert!(border, "({x}, {y}) from {source}: {a:?} but {b:?}");
+            }
+        }
+        // What follows is made from the undistorted images, whatever number of passes comes between.
+        let halved = view.read_colour(device, 1).unwrap().expect("the frame has colour");
+        for (a, b) in halved.data().iter().zip(reference::view::halve_colour(&found).data()) {
+            prop_assert_eq!(a[3], b[3], "no colour where a pixel of the group has none");
+        }
+        let smoothed = run(device, &calibration, &frame, &ViewOptions { bilateral_passes: passes, ..OPTIONS });
+        let mut expected = depth;
+        for _ in 0..passes {
+            expected = reference::view::bilateral(&expected);
+        }
+        assert_close(&smoothed.read_depth(device, 0).unwrap(), &expected, passes as f32 * 3e-6)?;
+    }
+}
+
+/// What a lens shows of a tilted wall and of a pattern comes back as a pinhole camera would have seen it.
+#[test]
+fn a_wall_seen_through_a_lens_is_seen_as_by_a_pinhole_camera() {
+    let Some(device) = common::device() else { return };
+    // TUM RGB-D's first Kinect, at a quarter of its size.
+    let camera = Intrinsics::new(640, 480, 517.3, 516.5, 318.6, 255.3).scaled_to(160, 120);
+    let lens = Distortion::brown([0.2624, -0.9531, -0.0054, 0.0026, 1.1633]);
+    let wall = DVec3::new(0.25, -0.1, 1.0);
+    // z from wall · (ray z) = 1.6.
+    let depth_at = |pixel: DVec2| 1.6 / wall.dot(camera.unproject(pixel, 1.0));
+    let colour_at = |pixel: DVec2| {
+        let wave = |a: f64, b: f64| 127.5 + 120.0 * (a * pixel.x + b * pixel.y).sin();
+        DVec3::new(wave(0.2, 0.03), wave(-0.05, 0.22), wave(0.12, 0.12))
+    };
+    let shown = |x: u32, y: u32| {
+        let focal = DVec2::new(camera.fx, camera.fy);
+        let point = camera.unproject(DVec2::new(x.into(), y.into()), 1.0).truncate();
+        lens.undistort(point).expect("within the lens's reach") * focal + DVec2::new(camera.cx, camera.cy)
+    };
+    let depth = Image::from_fn(160, 120, |x, y| depth_at(shown(x, y)) as f32);
+    let colour = ColourImage::from_fn(160, 120, |x, y| {
+        let [r, g, b] = colour_at(shown(x, y)).round().to_array().map(|v| v as u8);
+        [r, g, b, 255]
+    });
+    let calibration = Calibration {
+        depth_distortion: lens,
+        colour_distortion: lens,
+        ..Calibration::registered(camera, DepthConversion::MILLIMETRES)
+    };
+    let view = run(device, &calibration, &common::frame(depth, Some(colour)), &OPTIONS);
+    let (depth, colour) = (view.read_depth(device, 0).unwrap(), view.read_colour(device, 0).unwrap().unwrap());
+    let (mut missing, mut worst_depth, mut worst_colour) = (0, 0.0_f64, 0.0_f64);
+    for y in 0..120 {
+        for x in 0..160 {
+            let pixel = DVec2::new(x.into(), y.into());
+            if colour[(x, y)][3] == 0 {
+                assert_eq!(depth[(x, y)], 0.0, "registered images have the same border");
+                missing += 1;
+                continue;
+            }
+            worst_depth = worst_depth.max((f64::from(depth[(x, y)]) - depth_at(pixel)).abs());
+            // The outer half of the outermost pixels has nothing to be interpolated with.
+            let source = lens.distort_pixel(&camera, pixel);
+            if source.min_element() < 0.0 || source.x > 159.0 || source.y > 119.0 {
+                continue;
+            }
+            for (found, expected) in colour[(x, y)].iter().zip(colour_at(pixel).to_array()) {
+                worst_colour = worst_colour.max((f64::from(*found) - expected).abs());
+            }
+        }
+    }
+    // The nearest pixel lies up to half a pixel away in x and y: of a slope of at most 0.25 z² / (1.6 f) a pixel.
+    assert!(worst_depth < 0.006, "{worst_depth} m");
+    // Bilinear interpolation of a sine: 120 · 0.23² / 8 along each axis, and two roundings.
+    assert!(worst_colour < 3.0, "{worst_colour} steps");
+    assert!((100..2000).contains(&missing), "{missing} pixels lie beyond the lens's image");
+    let pinhole = Calibration::registered(camera, DepthConversion::MILLIMETRES);
+    let plain = run(device, &pinhole, &common::frame(depth.clone(), None), &OPTIONS);
+    assert_eq!(plain.read_depth(device, 0).unwrap(), depth, "without a lens nothing moves");
 }
 
 /// Vertices and normals against the reference's, for the depth that they were made of.

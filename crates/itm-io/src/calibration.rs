@@ -22,12 +22,17 @@
 //! - `affine a b`: `depth = a raw + b` in metres;
 //! - `0 0`: millimetres, as `affine 0.001 0`.
 //!
+//! After it a line for each camera whose lens bends its image may stand, in either order, with the coefficients of
+//! [`Distortion`]:
+//! - `depth-distortion brown k1 k2 p1 p2 k3` or `colour-distortion brown k1 k2 p1 p2 k3`;
+//! - `depth-distortion rational k1 k2 p1 p2 k3 k4 k5 k6`, likewise for colour.
+//!
 //! Blank lines and lines that start with `#` are passed over. Pixel (0, 0) is the centre of the upper left pixel.
 
 use std::path::Path;
 
 use glam::{DMat4, DVec4};
-use itm_core::{Calibration, DepthConversion, Intrinsics, Se3};
+use itm_core::{Calibration, DepthConversion, Distortion, Intrinsics, Se3};
 
 use crate::{Error, text};
 
@@ -54,10 +59,9 @@ pub fn parse(text: &str, path: &Path) -> Result<Calibration, Error> {
     let colour_from_depth = Se3::try_from_matrix(matrix)
         .map_err(|e| Error::line(path, first_row, "three rows of a rotation and a translation", e.to_string()))?;
     let depth_conversion = lines.depth_conversion()?;
-    if let Some((line, found)) = lines.lines.next() {
-        return Err(Error::line(path, line, "the end of the file", text::quoted(found)));
-    }
-    let calibration = Calibration { depth, colour, colour_from_depth, depth_conversion };
+    let (depth_distortion, colour_distortion) = lines.distortions()?;
+    let calibration =
+        Calibration { depth, colour, colour_from_depth, depth_conversion, depth_distortion, colour_distortion };
     calibration.validate().map_err(|reason| Error::Calibration { path: path.to_path_buf(), reason })?;
     Ok(calibration)
 }
@@ -71,13 +75,24 @@ pub fn to_text(calibration: &Calibration) -> String {
         DepthConversion::Affine { scale, offset } => format!("affine {scale} {offset}"),
         DepthConversion::Disparity { a, b } => format!("kinect {a} {b}"),
     };
+    let distortion = |name: &str, lens: &Distortion| {
+        let (model, coefficients) = match lens {
+            Distortion::None => return String::new(),
+            Distortion::Brown { .. } => ("brown", &lens.coefficients()[..5]),
+            Distortion::Rational { .. } => ("rational", &lens.coefficients()[..]),
+        };
+        let coefficients: Vec<String> = coefficients.iter().map(f64::to_string).collect();
+        format!("{name} {model} {}\n", coefficients.join(" "))
+    };
     format!(
-        "{}{}{}{}{}\n{conversion}\n",
+        "{}{}{}{}{}\n{conversion}\n{}{}",
         camera(&calibration.colour),
         camera(&calibration.depth),
         row(matrix.row(0)),
         row(matrix.row(1)),
         row(matrix.row(2)),
+        distortion(DEPTH_LENS, &calibration.depth_distortion),
+        distortion(COLOUR_LENS, &calibration.colour_distortion),
     )
 }
 
@@ -108,6 +123,10 @@ const DEPTH: CameraLines = CameraLines {
 };
 const MOTION: &str = "4 values (a row of the 3x4 matrix from depth to colour coordinates)";
 const DEPTH_CONVERSION: &str = "'a b', 'kinect a b' or 'affine a b' (what raw depth means)";
+const DEPTH_LENS: &str = "depth-distortion";
+const COLOUR_LENS: &str = "colour-distortion";
+const DISTORTION: &str = "'depth-distortion' or 'colour-distortion', each at most once, or the end of the file";
+const MODEL: &str = "'brown k1 k2 p1 p2 k3' or 'rational k1 k2 p1 p2 k3 k4 k5 k6' after the name";
 
 struct Lines<'a, I> {
     path: &'a Path,
@@ -170,6 +189,28 @@ impl<'a, I: Iterator<Item = (usize, &'a str)>> Lines<'a, I> {
             _ => DepthConversion::Disparity { a, b },
         })
     }
+
+    /// The rest of the file: the depth camera's lens and the colour camera's.
+    fn distortions(&mut self) -> Result<(Distortion, Distortion), Error> {
+        let (mut depth, mut colour) = (None, None);
+        while let Some((line, text)) = self.lines.next() {
+            let mut words = text.split_whitespace();
+            let lens = match words.next() {
+                Some(DEPTH_LENS) => &mut depth,
+                Some(COLOUR_LENS) => &mut colour,
+                _ => return Err(Error::line(self.path, line, DISTORTION, text::quoted(text))),
+            };
+            if lens.is_some() {
+                return Err(Error::line(self.path, line, DISTORTION, format!("a second {}", text::quoted(text))));
+            }
+            *lens = Some(match words.next() {
+                Some("brown") => Distortion::brown(self.parse(line, text, words, MODEL)?),
+                Some("rational") => Distortion::rational(self.parse(line, text, words, MODEL)?),
+                _ => return Err(Error::line(self.path, line, MODEL, text::quoted(text))),
+            });
+        }
+        Ok((depth.unwrap_or_default(), colour.unwrap_or_default()))
+    }
 }
 
 #[cfg(test)]
@@ -227,7 +268,8 @@ mod tests {
         let error = parsed("640 480\n500 500\n").unwrap_err();
         assert!(error.contains("line 3") && error.ends_with("found the end of the file"), "{error}");
         let error = parsed(&format!("{REPORT}1 2\n")).unwrap_err();
-        assert!(error.contains("line 14: expected the end of the file, found '1 2'"), "{error}");
+        assert!(error.contains("line 14: expected 'depth-distortion' or 'colour-distortion'"), "{error}");
+        assert!(error.ends_with("or the end of the file, found '1 2'"), "{error}");
         let error = parsed(&REPORT.replace("1135.09 0.0819141", "affine 1 2 3")).unwrap_err();
         assert!(error.contains("line 13") && error.contains("found 3 values"), "{error}");
     }
@@ -245,9 +287,47 @@ mod tests {
     }
 
     #[test]
+    fn lenses_may_follow_in_either_order() {
+        let with = |rest: &str| parsed(&format!("{REPORT}{rest}"));
+        let none = with("").unwrap();
+        assert_eq!((none.depth_distortion, none.colour_distortion), (Distortion::None, Distortion::None));
+        assert!(to_text(&none).ends_with("kinect 1135.09 0.0819141\n"), "nothing is said where there is no lens");
+        let colour = "colour-distortion brown 0.26 -0.95 -0.0054 0.0026 1.16\n";
+        let depth = "\n# the infrared camera\ndepth-distortion rational 0.1 0.2 0 1e-4 0 0.1 0.2 0.3\n";
+        let both = with(&format!("{colour}{depth}")).unwrap();
+        assert_eq!(with(&format!("{depth}{colour}")).unwrap(), both);
+        assert_eq!(both.colour_distortion, Distortion::brown([0.26, -0.95, -0.0054, 0.0026, 1.16]));
+        assert_eq!(both.depth_distortion, Distortion::rational([0.1, 0.2, 0.0, 1e-4, 0.0, 0.1, 0.2, 0.3]));
+        assert_eq!(with(colour).unwrap().depth_distortion, Distortion::None);
+    }
+
+    #[test]
+    fn lenses_that_are_not_understood_are_refused_with_their_line() {
+        let error = |rest: &str| parsed(&format!("{REPORT}{rest}\n")).unwrap_err();
+        let few = error("colour-distortion brown 0.1 0.2 0 0");
+        assert!(few.contains("line 14: expected 'brown k1 k2 p1 p2 k3'") && few.contains("found 4 values"), "{few}");
+        assert!(error("depth-distortion rational 0 0 0 0 0").contains("found 5 values"));
+        let model = error("depth-distortion fisheye 0 0 0 0");
+        assert!(model.contains("line 14: expected 'brown") && model.ends_with("'depth-distortion fisheye 0 0 0 0'"));
+        assert!(error("depth-distortion").contains("expected 'brown"));
+        assert!(error("colour-distortion brown 0 0 0 x 0").contains("'x' in"));
+        let twice = error("depth-distortion brown 0 0 0 0 0\ndepth-distortion brown 0 0 0 0 0");
+        assert!(twice.contains("line 15") && twice.contains("at most once"), "{twice}");
+        assert!(error("lens brown 0 0 0 0 0").contains("expected 'depth-distortion' or 'colour-distortion'"));
+        let folding = error("colour-distortion brown -3 0 0 0 0");
+        assert!(folding.contains("calibration.txt") && folding.contains("colour camera's distortion"), "{folding}");
+        assert!(error("depth-distortion brown nan 0 0 0 0").contains("depth camera's distortion"));
+    }
+
+    #[test]
     fn a_missing_file_is_named() {
         let error = read(Path::new("/nowhere/calibration.txt")).unwrap_err().to_string();
         assert!(error.starts_with("cannot read '/nowhere/calibration.txt':"), "{error}");
+    }
+
+    /// A polynomial that grows, over a denominator that does not.
+    fn mild_rational([k1, k2, _, _, k3, ..]: [f64; 8]) -> Distortion {
+        Distortion::rational([k1, k2, 0.0, 0.0, k3, 0.0, 0.0, 0.0])
     }
 
     proptest! {
@@ -258,6 +338,9 @@ mod tests {
             twist in prop::array::uniform6(-1.0..1.0f64),
             (width, height) in (1..4000u32, 1..4000u32),
             (a, b, disparity) in (0.0001..2000.0f64, 0.001..1.0f64, any::<bool>()),
+            // Cameras here may be very wide, so that only the mildest lenses are sure not to fold.
+            k in prop::array::uniform8(0.0..1e-9f64),
+            lenses: [bool; 2],
         ) {
             let calibration = Calibration {
                 depth: Intrinsics::new(width, height, f[0], -f[1], c[0], c[1]),
@@ -268,6 +351,8 @@ mod tests {
                 } else {
                     DepthConversion::Affine { scale: a, offset: b }
                 },
+                depth_distortion: if lenses[0] { Distortion::brown([k[0], k[1], 0.0, 0.0, k[2]]) } else { Distortion::None },
+                colour_distortion: if lenses[1] { mild_rational(k) } else { Distortion::None },
             };
             let back = parsed(&to_text(&calibration)).unwrap();
             let motion = back.colour_from_depth.to_matrix();
@@ -277,7 +362,7 @@ mod tests {
         }
 
         #[test]
-        fn no_text_makes_it_panic(text in "([-0-9. akine#]{0,30}\n){0,16}") {
+        fn no_text_makes_it_panic(text in "([-0-9. akine#]{0,30}\n){0,16}(depth-distortion [-0-9. brown]{0,20}\n){0,2}") {
             let _: Result<_, _> = parsed(&text);
         }
     }

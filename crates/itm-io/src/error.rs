@@ -114,7 +114,15 @@ pub enum Error {
         /// The recording.
         path: PathBuf,
     },
-    /// A pattern for image files that cannot be followed.
+    /// Files that were asked for beside a recording's images, of which not one is there.
+    #[error("'{}' holds no {expected}", path.display())]
+    NoFiles {
+        /// The folder.
+        path: PathBuf,
+        /// What would have been one.
+        expected: String,
+    },
+    /// A pattern for files that cannot be followed.
     #[error("the pattern '{pattern}' must have {expected}")]
     Pattern {
         /// As given.

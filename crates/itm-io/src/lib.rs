@@ -2,6 +2,7 @@
 
 pub mod calibration;
 mod error;
+mod matrix;
 pub mod mesh;
 pub mod recording;
 mod text;

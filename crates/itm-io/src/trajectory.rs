@@ -7,9 +7,10 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use glam::{DQuat, DVec3};
-use itm_core::{PoseError, Se3, StampedPose, Trajectory};
+use itm_core::{PoseError, Se3, StampedPose, Timestamp, Trajectory};
 
-use crate::{Error, text};
+use crate::recording::{Pattern, Varying};
+use crate::{Error, matrix, text};
 
 const ROW: &str = "timestamp tx ty tz qx qy qz qw";
 
@@ -51,6 +52,87 @@ fn parse_tum(text: &str, path: &Path) -> Result<Trajectory, Error> {
             Ok(StampedPose { timestamp, world_from_camera })
         })
         .collect()
+}
+
+/// Poses that a recording's frames are looked up in: a file each, or one trajectory.
+///
+/// ```no_run
+/// use itm_core::Timestamp;
+/// use itm_io::trajectory::PoseFiles;
+///
+/// let poses = PoseFiles::new("scan".as_ref(), "poses/%06d.txt")?;
+/// if let Some(world_from_camera) = poses.read(17, None)? {
+///     println!("{}", world_from_camera.translation);
+/// }
+/// # Ok::<(), itm_io::Error>(())
+/// ```
+#[derive(Debug)]
+pub struct PoseFiles(Source);
+
+#[derive(Debug)]
+enum Source {
+    Matrices(Pattern),
+    Trajectory(Trajectory),
+}
+
+/// Largest distance in time between a frame and its pose in a trajectory.
+const TOLERANCE_NS: i64 = 20_000_000;
+
+impl PoseFiles {
+    /// Poses by what they are given as, relative to a folder: a mask for files that hold a matrix each, with the frame's
+    /// number in its last part (`poses/%06d.txt`), or, where there is no `%` in it, a trajectory in TUM's format.
+    ///
+    /// # Errors
+    /// Where a mask has anything but one number, or no file is of its form; where a trajectory cannot be read (as
+    /// [`read_tum`]).
+    pub fn new(folder: &Path, given: &str) -> Result<Self, Error> {
+        if !given.contains(['%', '*']) {
+            return read_tum(&folder.join(given)).map(|poses| Self(Source::Trajectory(poses)));
+        }
+        let pattern = Pattern::parse(folder, given)?;
+        if pattern.varying == Varying::Text {
+            return Err(Error::Pattern {
+                pattern: given.into(),
+                expected: "a number such as %06d, for the frame's number",
+            });
+        }
+        if pattern.files()?.is_empty() {
+            return Err(Error::NoFiles { path: pattern.folder, expected: format!("pose files named as '{given}'") });
+        }
+        Ok(Self(Source::Matrices(pattern)))
+    }
+
+    /// The pose of a frame, `world_from_camera`: from the file with its number, which holds 16 or 12 numbers, a 4x4 matrix
+    /// from camera to world or its upper three rows; or from the trajectory, where the pose nearest to its time within 20 ms
+    /// counts. Without a time, as for recordings that have none, the trajectory's first column holds frame numbers.
+    ///
+    /// `None` where there is no such file or pose.
+    ///
+    /// # Errors
+    /// Where a file cannot be read, or what it holds is no rigid motion of finite numbers; the error names file and line.
+    pub fn read(&self, number: u64, timestamp: Option<Timestamp>) -> Result<Option<Se3>, Error> {
+        match &self.0 {
+            Source::Matrices(pattern) => {
+                let path = pattern.path_expected(&number.to_string());
+                match path.try_exists() {
+                    Ok(true) => matrix::read_pose(&path).map(Some),
+                    Ok(false) => Ok(None),
+                    Err(reason) => Err(Error::io("open", &path, reason)),
+                }
+            }
+            Source::Trajectory(poses) => {
+                let pose = match timestamp {
+                    Some(time) => poses.nearest(time, TOLERANCE_NS),
+                    // A frame number reads as so many seconds.
+                    None => i64::try_from(number)
+                        .ok()
+                        .and_then(|n| n.checked_mul(1_000_000_000))
+                        .and_then(|ns| poses.nearest(Timestamp(ns), 0)),
+                };
+                Ok(pose.map(|pose| pose.world_from_camera))
+            }
+        }
+    }
 }
 
 /// What the first column of a trajectory file holds.
@@ -193,6 +275,45 @@ mod tests {
         assert_eq!(poses[1].timestamp, Timestamp(1_305_031_229_528_700_000));
         assert_eq!(poses[1].world_from_camera.translation, DVec3::new(1.0, 2.0, 3.0));
         assert!(parse("# no pose yet\n").unwrap().is_empty());
+    }
+
+    #[test]
+    fn frames_find_their_poses_in_files_of_their_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let poses = folder.path().join("poses");
+        std::fs::create_dir(&poses).unwrap();
+        let error = PoseFiles::new(folder.path(), "poses/%04d.txt").unwrap_err().to_string();
+        assert!(error.ends_with("poses' holds no pose files named as 'poses/%04d.txt'"), "{error}");
+        std::fs::write(poses.join("0007.txt"), "0 -1 0 1\n1 0 0 2\n0 0 1 3\n0 0 0 1\n").unwrap();
+        std::fs::write(poses.join("0008.txt"), "1 0 0 0\n0 1 0 nan\n0 0 1 0\n").unwrap();
+        let files = PoseFiles::new(folder.path(), "poses/%04d.txt").unwrap();
+        let pose = files.read(7, None).unwrap().unwrap();
+        assert_eq!(pose.translation, DVec3::new(1.0, 2.0, 3.0));
+        assert!(pose.transform_vector(DVec3::X).abs_diff_eq(DVec3::Y, 1e-12), "camera to world");
+        assert_eq!(files.read(9, None).unwrap(), None);
+        let error = files.read(8, None).unwrap_err().to_string();
+        assert!(error.contains("0008.txt', line 2") && error.contains("'nan'"), "{error}");
+
+        let error = PoseFiles::new(folder.path(), "poses/*.txt").unwrap_err().to_string();
+        assert!(error.contains("must have a number such as %06d"), "{error}");
+        assert!(PoseFiles::new(folder.path(), "nowhere/%d.txt").is_err());
+        assert!(PoseFiles::new(folder.path(), "poses/%d_%d.txt").is_err());
+    }
+
+    #[test]
+    fn frames_find_their_poses_in_a_trajectory() {
+        let folder = tempfile::tempdir().unwrap();
+        let rows = "# poses\n5 1 0 0 0 0 0 1\n6 2 0 0 0 0 0 1\n6.03 3 0 0 0 0 0 1\n";
+        std::fs::write(folder.path().join("t.txt"), rows).unwrap();
+        let poses = PoseFiles::new(folder.path(), "t.txt").unwrap();
+        let x = |number, ms: Option<i64>| {
+            let time = ms.map(|ms| Timestamp(ms * 1_000_000));
+            poses.read(number, time).unwrap().map(|pose| pose.translation.x)
+        };
+        assert_eq!((x(0, Some(6_012)), x(0, Some(6_016)), x(5, Some(6_049))), (Some(2.0), Some(3.0), Some(3.0)));
+        assert_eq!(x(5, Some(5_021)), None, "farther than 20 ms");
+        assert_eq!((x(5, None), x(6, None), x(7, None), x(u64::MAX, None)), (Some(1.0), Some(2.0), None, None));
+        assert!(PoseFiles::new(folder.path(), "none.txt").is_err());
     }
 
     #[test]

@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::DVec3;
 use image::{GrayImage, ImageBuffer, Luma, Rgb, RgbImage, Rgba, RgbaImage};
-use itm_core::{Calibration, DepthConversion, DepthImage, Frame, Image, Intrinsics, Se3, Timestamp};
+use itm_core::{Calibration, DepthConversion, DepthImage, Distortion, Frame, Image, Intrinsics, Se3, Timestamp};
 use itm_io::recording::{self, Format, OpenOptions, ReadAhead, Recording, RecordingInfo};
 use itm_io::{Error, calibration};
 use tempfile::TempDir;
@@ -78,10 +78,9 @@ impl Folder {
     fn calibration(&self, name: &str) -> Calibration {
         let camera = |f| Intrinsics::new(WIDTH, HEIGHT, f, f, 3.5, 2.5);
         let calibration = Calibration {
-            depth: camera(10.0),
             colour: camera(11.0),
             colour_from_depth: Se3 { translation: DVec3::new(-0.1, 0.0, 0.0), ..Se3::IDENTITY },
-            depth_conversion: DepthConversion::Affine { scale: 0.25, offset: 0.5 },
+            ..Calibration::registered(camera(10.0), DepthConversion::Affine { scale: 0.25, offset: 0.5 })
         };
         calibration::write(&self.at(name), &calibration).unwrap();
         calibration
@@ -233,6 +232,8 @@ fn tum_presets_follow_the_path_and_the_lists_comments() {
     let by_comment = info(&folder);
     assert!((fx_of_640(&by_comment) - 535.4).abs() < 1e-9);
     assert!(by_comment.calibration_source.contains("depth.txt"), "{}", by_comment.calibration_source);
+    assert!(by_comment.calibration.colour_distortion.is_none(), "undistorted already");
+    assert!(info_fr2.calibration_source.contains("lens") && info_fr2.calibration.validate().is_ok());
 }
 
 #[test]
@@ -241,7 +242,14 @@ fn presets_keep_their_digits_at_their_own_size() {
     folder.depth_sized("depth/0.png", 1, (640, 480)).bytes("depth.txt", "1 depth/0.png\n");
     let recording = folder.open().unwrap();
     assert_eq!(recording.info().calibration.depth, Intrinsics::new(640, 480, 517.3, 516.5, 318.6, 255.3));
-    assert_eq!(recording.info().calibration_source, "TUM preset fr1, recognised from 'fr1' in the path");
+    assert_eq!(
+        recording.info().calibration_source,
+        "TUM preset fr1 with its lens's distortion, recognised from 'fr1' in the path"
+    );
+    let lens = Distortion::brown([0.2624, -0.9531, -0.0054, 0.0026, 1.1633]);
+    assert_eq!(recording.info().calibration.colour_distortion, lens);
+    assert_eq!(recording.info().calibration.depth_distortion, lens);
+    assert_eq!(recording.info().calibration.validate(), Ok(()));
 }
 
 #[test]
@@ -257,6 +265,88 @@ fn a_calibration_file_wins_over_a_preset_and_a_named_one_over_it() {
     let recording = folder.open_with(&OpenOptions { calibration: Some(other), ..OpenOptions::default() }).unwrap();
     assert_eq!(recording.info().calibration.depth_conversion, DepthConversion::MILLIMETRES);
     assert!(recording.info().calibration_source.ends_with("mine.txt'"), "{}", recording.info().calibration_source);
+}
+
+#[test]
+fn a_gyroscopes_readings_go_to_the_frame_that_ends_them() {
+    let folder = tum();
+    folder.bytes(
+        "gyroscope.txt",
+        "# timestamp wx wy wz\n9.9 9 9 9\n10.0 0 0 0\n10.02 1 0.5 -2\r\n10.033 2 0 0\n\n10.04 3 0 0\n10.05 4 0 0\n10.1 5 0 0\n\
+         10.000001 0.1 0 0\n",
+    );
+    let mut recording = folder.open().unwrap();
+    assert!(recording.info().has_gyroscope && !recording.info().has_imu_orientation);
+    let frames: Vec<Frame> = (0..3).map(|i| recording.read(i).unwrap()).collect();
+    let rates = |frame: &Frame| frame.gyroscope.iter().map(|reading| reading.rad_per_s.x).collect::<Vec<_>>();
+    assert_eq!(rates(&frames[0]), [0.1], "the last before the first frame, or at it");
+    assert_eq!(rates(&frames[1]), [1.0, 2.0]);
+    assert_eq!(rates(&frames[2]), [3.0, 4.0], "later ones belong to no frame");
+    let reading = frames[1].gyroscope[0];
+    assert_eq!((reading.timestamp.0, reading.rad_per_s), (10_020_000_000, DVec3::new(1.0, 0.5, -2.0)));
+
+    // Of no use, but no reason to refuse the recording.
+    folder.bytes("gyroscope.txt", "# timestamp wx wy wz\n");
+    assert!(!folder.open().unwrap().info().has_gyroscope);
+    for bad in ["10 1 2", "10 1 2 3 4", "ten 1 2 3", "10 1 nan 3", "10 1 2 three"] {
+        let error = folder.bytes("gyroscope.txt", format!("# w\n10 0 0 0\n{bad}\n")).error();
+        assert!(error.starts_with("'HERE/gyroscope.txt', line 3: expected 4 finite numbers"), "{error}");
+        assert!(error.ends_with(&format!("found '{bad}'")), "{error}");
+    }
+}
+
+fn orientations(pattern: &str) -> OpenOptions {
+    OpenOptions { imu_pattern: Some(pattern.into()), ..OpenOptions::default() }
+}
+
+#[test]
+fn orientations_are_rotation_files_with_the_images_numbers() {
+    let quarter = "0 -1 0\n1 0 0\n0 0 1\n";
+    let turned = |frame: &Frame| frame.imu_orientation.map(|q| (q * DVec3::X).round());
+    // 7-Scenes and ICL-NUIM number their images, TUM does not.
+    let scenes = Folder::new();
+    seven_scenes(&scenes, "");
+    let icl = Folder::named("living_room_traj1");
+    icl.depth("depth/1.png", 1).depth("depth/2.png", 2).depth("depth/5.png", 5);
+    for (folder, number, frame) in [(scenes, 1, 1), (icl, 5, 2), (tum(), 2, 2)] {
+        folder.bytes(&format!("imu/{number:04}.txt"), quarter).bytes("imu/0099.txt", "");
+        let mut recording = folder.open_with(&orientations("imu/%04d.txt")).unwrap();
+        assert!(recording.info().has_imu_orientation && !recording.info().has_gyroscope);
+        for i in 0..3 {
+            let expected = (i == frame).then_some(DVec3::Y);
+            assert_eq!(turned(&recording.read(i).unwrap()), expected, "{}: frame {i}", recording.info().format);
+        }
+        assert!(!folder.open().unwrap().info().has_imu_orientation, "only where it is asked for");
+    }
+
+    let folder = Folder::new();
+    folder.calibration("calibration.txt");
+    folder.depth("depth_07.png", 7).depth("depth_10.png", 10).bytes("imu_7.txt", "1 0 0 0 0 -1 0 1 0");
+    let options = OpenOptions { imu_pattern: Some("imu_*.txt".into()), ..OpenOptions::default() };
+    let mut recording = folder.open_with(&options).unwrap();
+    let orientation = recording.read(0).unwrap().imu_orientation.unwrap();
+    assert!((orientation * DVec3::Y).abs_diff_eq(DVec3::Z, 1e-12) && orientation.is_normalized());
+    assert_eq!(recording.read(1).unwrap().imu_orientation, None);
+}
+
+#[test]
+fn bad_orientations_are_named() {
+    let folder = tum();
+    let missing = folder.error_with(&orientations("imu/%d.txt"));
+    assert_eq!(missing, "'HERE/imu' does not exist");
+    folder.bytes("imu/7.txt", "1 0 0 0 1 0 0 0 1");
+    let others = folder.error_with(&orientations("imu/%d.txt"));
+    assert_eq!(others, "'HERE' holds no rotation files named as 'imu/%d.txt' with the images' numbers (1 with others)");
+    assert!(folder.error_with(&orientations("imu/7.txt")).contains("must have one number"));
+
+    folder.bytes("imu/0.txt", "1 0 0\n0 1 0\n0 0 1.05\n").bytes("imu/1.txt", "1 0 0\n0 x 0\n0 0 1\n");
+    let mut recording = folder.open_with(&orientations("imu/%d.txt")).unwrap();
+    let scaled = folder.frame_error(&mut *recording, 0);
+    assert!(scaled.starts_with("frame 0: 'HERE/imu/0.txt', line 1: expected 9 finite numbers"), "{scaled}");
+    assert!(scaled.contains("must be a rotation"), "{scaled}");
+    let word = folder.frame_error(&mut *recording, 1);
+    assert!(word.starts_with("frame 1: 'HERE/imu/1.txt', line 2") && word.ends_with("found 'x'"), "{word}");
+    assert_eq!(recording.read(2).unwrap().imu_orientation, None);
 }
 
 #[test]

@@ -66,7 +66,7 @@ pub fn signed_distance(observation: &Observation<'_>, point_world: DVec3) -> Opt
 }
 
 /// Where in the colour image a point (world frame, metres) is seen, in pixels, and the colour there between the four
-/// pixels around, 0 to 255; `None` where the image lacks one of them.
+/// pixels around, 0 to 255; `None` where the image lacks one of them, or one has no colour.
 pub fn observed_colour(observation: &Observation<'_>, point_world: DVec3) -> Option<(DVec2, DVec3)> {
     let image = observation.colour?;
     let colour_from_world = observation.calibration.colour_from_depth * observation.world_from_camera.inverse();
@@ -77,13 +77,13 @@ pub fn observed_colour(observation: &Observation<'_>, point_world: DVec3) -> Opt
     }
     let texel = |p: DVec2| {
         let p = p.min(last);
-        let [r, g, b, _] = image[(p.x as u32, p.y as u32)].map(f64::from);
-        DVec3::new(r, g, b)
+        let [r, g, b, alpha] = image[(p.x as u32, p.y as u32)].map(f64::from);
+        (alpha > 0.0).then(|| DVec3::new(r, g, b))
     };
     let base = pixel.floor();
     let f = pixel - base;
-    let upper = texel(base).lerp(texel(base + DVec2::X), f.x);
-    let lower = texel(base + DVec2::Y).lerp(texel(base + DVec2::ONE), f.x);
+    let upper = texel(base)?.lerp(texel(base + DVec2::X)?, f.x);
+    let lower = texel(base + DVec2::Y)?.lerp(texel(base + DVec2::ONE)?, f.x);
     Some((pixel, upper.lerp(lower, f.y)))
 }
 

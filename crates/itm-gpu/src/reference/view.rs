@@ -2,7 +2,7 @@
 //! al. 2011, section 3.2).
 
 use glam::{DVec2, DVec3};
-use itm_core::{ColourImage, DepthConversion, Image, Intrinsics};
+use itm_core::{ColourImage, DepthConversion, Distortion, Image, Intrinsics};
 
 /// Raw depth to metres by a calibration's conversion; `focal_x` is the depth camera's, in pixels. Raw 0 and 65535, and
 /// depths outside of the range (metres, ends included), become 0: no measurement.
@@ -32,6 +32,48 @@ pub fn clip_depth(metres: &Image<f32>, [near_m, far_m]: [f32; 2]) -> Image<f32> 
     Image::from_fn(metres.width(), metres.height(), |x, y| {
         let z = metres[(x, y)];
         if (near_m..=far_m).contains(&z) { z } else { 0.0 }
+    })
+}
+
+/// Where a lens's image shows what a pinhole camera of the same intrinsics sees at a pixel, or `None` where that is on none
+/// of the image's pixels, each of which reaches half a pixel around its centre.
+fn source(lens: &Distortion, camera: &Intrinsics, x: u32, y: u32) -> Option<DVec2> {
+    let source = lens.distort_pixel(camera, DVec2::new(x.into(), y.into()));
+    let size = DVec2::new(camera.width.into(), camera.height.into());
+    (source.cmpge(DVec2::splat(-0.5)).all() && source.cmplt(size - 0.5).all()).then_some(source)
+}
+
+/// Depth of a camera with a lens to that of a pinhole camera with the same intrinsics: each pixel takes the nearest of the
+/// lens's image, since interpolation would make up surfaces between foreground and background. Depth is along the optical
+/// axis, which the lens leaves as it is. Pixels that the lens's image does not show become 0.
+pub fn undistort_depth(depth: &Image<f32>, camera: &Intrinsics, lens: &Distortion) -> Image<f32> {
+    Image::from_fn(depth.width(), depth.height(), |x, y| {
+        let nearest = |at: DVec2| (at + 0.5).floor();
+        source(lens, camera, x, y).map(nearest).map_or(0.0, |at| depth[(at.x as u32, at.y as u32)])
+    })
+}
+
+/// Colour of a camera with a lens to that of a pinhole camera with the same intrinsics: each pixel is interpolated
+/// bilinearly between four of the lens's image. All four bytes are 0 where that does not show it, or one of the four has no
+/// colour.
+pub fn undistort_colour(colour: &ColourImage, camera: &Intrinsics, lens: &Distortion) -> ColourImage {
+    let last = DVec2::new((colour.width() - 1).into(), (colour.height() - 1).into());
+    Image::from_fn(colour.width(), colour.height(), |x, y| {
+        // The outer half of the outermost pixels has their colour.
+        let Some(at) = source(lens, camera, x, y).map(|at| at.clamp(DVec2::ZERO, last)) else { return [0; 4] };
+        let base = at.floor();
+        let f = at - base;
+        let texel = |offset: DVec2| {
+            let p = (base + offset).min(last);
+            colour[(p.x as u32, p.y as u32)]
+        };
+        let four = [DVec2::ZERO, DVec2::X, DVec2::Y, DVec2::ONE].map(texel);
+        if four.iter().any(|[.., alpha]| *alpha == 0) {
+            return [0; 4];
+        }
+        let [a, b, c, d] = four.map(|[r, g, b, _]| DVec3::new(r.into(), g.into(), b.into()));
+        let [r, g, b] = a.lerp(b, f.x).lerp(c.lerp(d, f.x), f.y).round().to_array().map(|v| v as u8);
+        [r, g, b, 255]
     })
 }
 
@@ -115,11 +157,14 @@ pub fn vertices(depth: &Image<f32>, camera: &Intrinsics, reach_m: f32) -> Image<
     })
 }
 
-/// Halves a colour image: the mean of each 2x2 group, rounded to bytes.
+/// Halves a colour image: the mean of each 2x2 group, rounded to bytes; a group with a pixel that has no colour has none.
 pub fn halve_colour(colour: &ColourImage) -> ColourImage {
     let (width, height) = half(colour);
     Image::from_fn(width, height, |x, y| {
         let pixels = group(colour, x, y).map(|p| colour[p]);
+        if pixels.iter().any(|p| p[3] == 0) {
+            return [0; 4];
+        }
         std::array::from_fn(|c| (pixels.iter().map(|p| f64::from(p[c])).sum::<f64>() / 4.0).round() as u8)
     })
 }
@@ -148,6 +193,29 @@ mod tests {
         assert_eq!(halved.size(), (4, 4));
         assert_eq!(halved[(1, 1)], [25, 50, 7, 255]);
         assert_eq!(halve_colour(&Image::filled(1, 1, [9; 4])).data(), &[[9; 4]]);
+    }
+
+    #[test]
+    fn what_has_no_colour_spreads_to_what_is_made_of_it() {
+        let colour = ColourImage::from_fn(8, 6, |x, y| [9, 9, 9, if (x, y) == (4, 3) { 0 } else { 255 }]);
+        let halved = halve_colour(&colour);
+        assert_eq!(halved[(2, 1)], [0; 4]);
+        assert_eq!(halved.data().iter().filter(|c| c[3] == 0).count(), 1);
+    }
+
+    #[test]
+    fn a_lens_moves_pixels_and_shows_none_beyond_its_image() {
+        let camera = Intrinsics::new(5, 1, 10.0, 10.0, 2.0, 0.0);
+        // A tangential term alone: at x = ±0.1, ±0.2 the shift is 3 p2 x², in pixels 0.5 and 2.
+        let lens = Distortion::brown([0.0, 0.0, 0.0, 5.0 / 3.0, 0.0]);
+        let depth = Image::new(5, 1, vec![1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
+        assert_eq!(undistort_depth(&depth, &camera, &lens).data(), &[3.0, 3.0, 3.0, 5.0, 0.0]);
+        let grey = |v: u8| [v, v, v, 255];
+        let colour = Image::new(5, 1, [10, 20, 30, 40, 50].map(grey).to_vec()).unwrap();
+        let found = undistort_colour(&colour, &camera, &lens);
+        assert_eq!(found.data(), &[grey(30), grey(25), grey(30), grey(45), [0; 4]]);
+        let gap = Image::new(5, 1, vec![grey(10), grey(20), [30, 30, 30, 0], grey(40), grey(50)]).unwrap();
+        assert_eq!(undistort_colour(&gap, &camera, &lens).data(), &[[0; 4], [0; 4], [0; 4], grey(45), [0; 4]]);
     }
 
     #[test]

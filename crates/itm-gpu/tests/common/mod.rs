@@ -213,7 +213,7 @@ impl Scene {
 pub(crate) fn colours(camera: &Intrinsics) -> ColourImage {
     ColourImage::from_fn(camera.width, camera.height, |x, y| {
         let wave = |a: f64, b: f64| (127.5 + 127.4 * (a * f64::from(x) + b * f64::from(y)).sin()) as u8;
-        [wave(0.31, 0.12), wave(-0.07, 0.4), wave(0.02, -0.05), 0]
+        [wave(0.31, 0.12), wave(-0.07, 0.4), wave(0.02, -0.05), 255]
     })
 }
 

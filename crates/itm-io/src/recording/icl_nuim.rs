@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use itm_core::{Calibration, DepthConversion, Intrinsics, StampedPose, Timestamp, Trajectory};
 
+use super::images::Key;
 use super::{Folder, FrameFiles, Listing, Preset, nominal_from_time_column, nominal_timestamp, tum};
 use crate::{Error, trajectory};
 
@@ -43,11 +44,9 @@ pub(super) fn list(folder: &Folder) -> Result<Listing, Error> {
             let timestamp = nominal_timestamp(number);
             let pose = ground_truth.as_ref().and_then(|truth| truth.nearest(timestamp, 0));
             FrameFiles {
-                depth,
                 colour,
-                timestamp,
-                colour_timestamp: None,
                 world_from_camera: pose.map(|p| p.world_from_camera),
+                ..FrameFiles::new(depth, timestamp, Key::of_number(number.into()))
             }
         })
         .collect();
@@ -60,6 +59,7 @@ pub(super) fn list(folder: &Folder) -> Result<Listing, Error> {
         }),
         depth_without_colour: 0,
         has_timestamps: false,
+        has_gyroscope: false,
         ground_truth,
     })
 }

@@ -15,23 +15,24 @@ const COLOUR_NAMES: [&str; 3] = ["rgb", "color", "colour"];
 const COLOUR_EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "ppm"];
 
 /// The name of several files in one folder, with one part that varies.
-struct Pattern {
-    given: String,
-    folder: PathBuf,
+#[derive(Debug)]
+pub(crate) struct Pattern {
+    pub(super) given: String,
+    pub(crate) folder: PathBuf,
     before: String,
     after: String,
-    varying: Varying,
+    pub(crate) varying: Varying,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Varying {
+pub(crate) enum Varying {
     Text,
     /// A number with at least so many digits.
     Number(usize),
 }
 
 impl Pattern {
-    fn parse(base: &Path, given: &str) -> Result<Self, Error> {
+    pub(crate) fn parse(base: &Path, given: &str) -> Result<Self, Error> {
         let invalid = || Error::Pattern {
             pattern: given.into(),
             expected: "one number such as %06d, or one *, in its last part and nowhere else",
@@ -66,12 +67,12 @@ impl Pattern {
     }
 
     /// The file with this as its varying part.
-    fn path(&self, varying: &str) -> PathBuf {
+    pub(super) fn path(&self, varying: &str) -> PathBuf {
         self.folder.join(format!("{}{varying}{}", self.before, self.after))
     }
 
     /// The file that one would expect beside another pattern's file with this varying part.
-    fn path_expected(&self, varying: &str) -> PathBuf {
+    pub(crate) fn path_expected(&self, varying: &str) -> PathBuf {
         match self.varying {
             Varying::Number(digits) if is_number(varying) => {
                 let digits = digits.max(1);
@@ -82,7 +83,7 @@ impl Pattern {
     }
 
     /// The files that match, by what varies.
-    fn files(&self) -> Result<Files, Error> {
+    pub(crate) fn files(&self) -> Result<Files, Error> {
         let folder = Folder::list(&self.folder)?;
         let parts = folder.names.iter().filter_map(|name| self.varying_part(name));
         Ok(parts.map(|part| (Key::new(part), part.to_string())).collect())
@@ -94,13 +95,25 @@ fn is_number(text: &str) -> bool {
 }
 
 /// Varying parts of file names, by what identifies them.
-type Files = BTreeMap<Key, String>;
+pub(crate) type Files = BTreeMap<Key, String>;
 
 /// What identifies an image: a number, or a text whose numbers are ordered by value, so that `a2` comes before `a10`.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Key(String);
+pub(crate) struct Key(String);
 
 impl Key {
+    /// What identifies an image by its number.
+    pub(super) fn of_number(number: u64) -> Self {
+        Self(number.to_string())
+    }
+
+    /// The number in a text that has one, as `_0007` of `depth_0007.png`.
+    pub(super) fn number(&self) -> Option<Self> {
+        let mut numbers = self.0.split(|c: char| !c.is_ascii_digit()).filter(|part| !part.is_empty());
+        let number = numbers.next().map(Self::new);
+        if numbers.next().is_none() { number } else { None }
+    }
+
     /// The leading zeros of a number do not count: `depth_0007` and `colour_7` belong together.
     fn new(varying: &str) -> Self {
         let significant = if is_number(varying) { varying.trim_start_matches('0') } else { varying };
@@ -153,15 +166,12 @@ pub(super) fn list(folder: &Folder, options: &OpenOptions) -> Result<Listing, Er
     let frames = (0..)
         .zip(&depth)
         .map(|(position, (key, varying))| FrameFiles {
-            depth: depth_pattern.path(varying),
             // A colour image that is missing is that frame's error.
             colour: colour.as_ref().map(|(pattern, files)| match files.get(key) {
                 Some(varying) => pattern.path(varying),
                 None => pattern.path_expected(varying),
             }),
-            timestamp: nominal_timestamp(position),
-            colour_timestamp: None,
-            world_from_camera: None,
+            ..FrameFiles::new(depth_pattern.path(varying), nominal_timestamp(position), key.clone())
         })
         .collect();
     Ok(Listing {
@@ -170,6 +180,7 @@ pub(super) fn list(folder: &Folder, options: &OpenOptions) -> Result<Listing, Er
         preset: None,
         depth_without_colour: 0,
         has_timestamps: false,
+        has_gyroscope: false,
         ground_truth: None,
     })
 }
@@ -267,6 +278,8 @@ mod tests {
         assert_eq!(keys.map(|key| key.0), ["0", "9", "10", "a", "a2", "a2b", "a10", "b1"]);
         assert_eq!(Key::new("0007"), Key::new("7"));
         assert_ne!(Key::new("a07"), Key::new("a7"));
+        assert_eq!(Key::new("_007").number(), Some(Key::new("7")));
+        assert_eq!(["a", "1_2", ""].map(|text| Key::new(text).number()), [None, None, None]);
     }
 
     proptest! {

@@ -11,6 +11,9 @@
 //! | 7-Scenes | `frame-000000.depth.png`, or one `seq-01` folder with such | preset | nominal |
 //! | image folder | a calibration file, or a pattern | calibration file | nominal |
 //!
+//! A folder in TUM's format may hold a gyroscope's readings: `gyroscope.txt`, lines of `timestamp wx wy wz` in seconds and
+//! rad/s. Each frame has those since the frame before it in the recording; the first one the last before it.
+//!
 //! A calibration file (`calibration.txt` or `calib.txt`, see [`crate::calibration`]) in the folder wins over a preset.
 
 mod decode;
@@ -25,9 +28,12 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use itm_core::{Calibration, DepthImage, Frame, Se3, Timestamp, Trajectory};
+use itm_core::{AngularRate, Calibration, DepthImage, Frame, Se3, Timestamp, Trajectory};
 
-use crate::{Error, calibration};
+use self::images::Key;
+use crate::{Error, calibration, matrix};
+
+pub(crate) use images::{Pattern, Varying};
 
 pub use read_ahead::ReadAhead;
 
@@ -89,6 +95,11 @@ pub struct OpenOptions {
     /// Colour images, likewise. A colour image belongs to the depth image with the same number (or the same text in
     /// place of the `*`).
     pub colour_pattern: Option<String>,
+    /// Orientations of an inertial sensor, likewise: `imu/%06d.txt`, a text file a frame with the nine numbers of a 3x3
+    /// rotation matrix that takes the sensor's directions to those of a fixed frame. A file belongs to the image with the
+    /// same number (or text) in its name; in TUM's format, whose images have no numbers, to the frame in this place, counted from 0. A
+    /// frame without a file has no orientation.
+    pub imu_pattern: Option<String>,
 }
 
 /// What is known of a recording before its images are decoded.
@@ -110,6 +121,10 @@ pub struct RecordingInfo {
     pub has_timestamps: bool,
     /// Whether there are colour images.
     pub has_colour: bool,
+    /// Whether there are a gyroscope's readings.
+    pub has_gyroscope: bool,
+    /// Whether there are an inertial sensor's orientations.
+    pub has_imu_orientation: bool,
     /// All true poses of the depth camera that the recording has, also between frames.
     pub ground_truth: Option<Trajectory>,
 }
@@ -258,6 +273,7 @@ struct Listing {
     preset: Option<Preset>,
     depth_without_colour: usize,
     has_timestamps: bool,
+    has_gyroscope: bool,
     ground_truth: Option<Trajectory>,
 }
 
@@ -270,6 +286,26 @@ struct FrameFiles {
     /// Of the colour image, where it has one of its own.
     colour_timestamp: Option<Timestamp>,
     world_from_camera: Option<Se3>,
+    /// By which other files belong to it.
+    key: Key,
+    gyroscope: Vec<AngularRate>,
+    imu: Option<PathBuf>,
+}
+
+impl FrameFiles {
+    /// A frame of which nothing but depth is known.
+    fn new(depth: PathBuf, timestamp: Timestamp, key: Key) -> Self {
+        Self {
+            depth,
+            colour: None,
+            timestamp,
+            colour_timestamp: None,
+            world_from_camera: None,
+            key,
+            gyroscope: Vec::new(),
+            imu: None,
+        }
+    }
 }
 
 /// Cameras known from the format.
@@ -287,7 +323,11 @@ struct ImageFiles {
 
 impl ImageFiles {
     fn new(format: Format, listing: Listing, options: &OpenOptions) -> Result<Self, Error> {
-        let Listing { folder, frames, preset, depth_without_colour, has_timestamps, ground_truth } = listing;
+        let Listing { folder, mut frames, preset, depth_without_colour, has_timestamps, has_gyroscope, ground_truth } =
+            listing;
+        if let Some(pattern) = &options.imu_pattern {
+            find_orientations(&folder, pattern, &mut frames)?;
+        }
         let depth_images = || frames.iter().map(|frame| frame.depth.as_path());
         let colour_images = || frames.iter().filter_map(|frame| frame.colour.as_deref());
         let has_colour = colour_images().next().is_some();
@@ -327,10 +367,32 @@ impl ImageFiles {
             depth_without_colour,
             has_timestamps,
             has_colour,
+            has_gyroscope,
+            has_imu_orientation: options.imu_pattern.is_some(),
             ground_truth,
         };
         Ok(Self { info, frames })
     }
+}
+
+/// Gives each frame its file with an inertial sensor's orientation.
+fn find_orientations(folder: &Folder, given: &str, frames: &mut [FrameFiles]) -> Result<(), Error> {
+    let pattern = Pattern::parse(&folder.path, given)?;
+    let files = pattern.files()?;
+    for frame in &mut *frames {
+        let same_number = || files.get(&frame.key.number()?);
+        frame.imu = files.get(&frame.key).or_else(same_number).map(|varying| pattern.path(varying));
+    }
+    let missing = frames.iter().filter(|frame| frame.imu.is_none()).count();
+    if missing == frames.len() {
+        let expected =
+            format!("rotation files named as '{given}' with the images' numbers ({} with others)", files.len());
+        return Err(Error::NoFiles { path: folder.path.clone(), expected });
+    }
+    if missing > 0 {
+        tracing::warn!("{missing} of {} frames have no orientation '{}'", frames.len(), pattern.given);
+    }
+    Ok(())
 }
 
 impl Preset {
@@ -365,12 +427,16 @@ impl Recording for ImageFiles {
             Ok((
                 decode::depth(&files.depth, (depth.width, depth.height))?,
                 files.colour.as_deref().map(|path| decode::colour(path, colour_size)).transpose()?,
+                files.imu.as_deref().map(matrix::read_rotation).transpose()?,
             ))
         };
-        let (depth, colour) = images().map_err(|reason| Error::Frame { index, reason: Box::new(reason) })?;
+        let (depth, colour, imu_orientation) =
+            images().map_err(|reason| Error::Frame { index, reason: Box::new(reason) })?;
         Ok(Frame {
             colour_timestamp: files.colour_timestamp,
             world_from_camera: files.world_from_camera,
+            gyroscope: files.gyroscope.clone(),
+            imu_orientation,
             ..Frame::new(index as u64, files.timestamp, DepthImage::Raw(depth), colour)
         })
     }

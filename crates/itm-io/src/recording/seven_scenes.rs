@@ -2,13 +2,13 @@
 //! 2013, *Scene Coordinate Regression Forests for Camera Relocalization in RGB-D Images*).
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
-use glam::{DMat4, DVec3};
+use glam::DVec3;
 use itm_core::{Calibration, DepthConversion, Intrinsics, Se3, StampedPose, Trajectory};
 
+use super::images::Key;
 use super::{Folder, FrameFiles, Listing, Preset, nominal_timestamp};
-use crate::{Error, text};
+use crate::{Error, matrix};
 
 /// The Kinect's factory values; images of its two cameras are not registered.
 const DEPTH_CAMERA: Intrinsics = Intrinsics::new(640, 480, 585.0, 585.0, 320.0, 240.0);
@@ -68,11 +68,9 @@ fn list_sequence(folder: Folder) -> Result<Listing, Error> {
         .map(|(number, digits)| {
             let file = |suffix: &str| folder.path.join(format!("frame-{digits}{suffix}"));
             FrameFiles {
-                colour_timestamp: None,
-                depth: file(DEPTH_SUFFIX),
                 colour: suffix.map(file),
-                timestamp: nominal_timestamp(number),
                 world_from_camera: poses.0.get(&number).copied(),
+                ..FrameFiles::new(file(DEPTH_SUFFIX), nominal_timestamp(number), Key::of_number(number.into()))
             }
         })
         .collect();
@@ -81,16 +79,16 @@ fn list_sequence(folder: Folder) -> Result<Listing, Error> {
         frames,
         preset: Some(Preset {
             calibration: Calibration {
-                depth: DEPTH_CAMERA,
                 colour: COLOUR_CAMERA,
                 colour_from_depth: Se3 { translation: COLOUR_FROM_DEPTH, ..Se3::IDENTITY },
-                depth_conversion: DepthConversion::MILLIMETRES,
+                ..Calibration::registered(DEPTH_CAMERA, DepthConversion::MILLIMETRES)
             },
             source: "7-Scenes preset (depth f = 585, colour f = 525, 2.5 cm apart), recognised from the files' names"
                 .into(),
         }),
         depth_without_colour: 0,
         has_timestamps: false,
+        has_gyroscope: false,
         ground_truth: poses.into_trajectory(),
     })
 }
@@ -106,7 +104,7 @@ impl Poses {
         let mut bad = Vec::new();
         for name in &folder.names {
             let Some(Ok(number)) = digits(name, ".pose.txt").map(str::parse) else { continue };
-            match read_pose(&folder.path.join(name)) {
+            match matrix::read_pose(&folder.path.join(name)) {
                 Ok(pose) => {
                     poses.insert(number, pose);
                 }
@@ -124,22 +122,4 @@ impl Poses {
             |(number, world_from_camera)| StampedPose { timestamp: nominal_timestamp(number), world_from_camera };
         if self.0.is_empty() { None } else { Some(self.0.into_iter().map(stamped).collect()) }
     }
-}
-
-/// Reads a 4x4 matrix from camera to world coordinates.
-fn read_pose(path: &Path) -> Result<Se3, Error> {
-    let expected = "4 rows of 4 finite numbers, camera to world";
-    let text = text::read(path)?;
-    let mut rows = [[0.0; 4]; 4];
-    let mut lines = text::data_lines(&text);
-    for row in &mut rows {
-        let (number, line) =
-            lines.next().ok_or_else(|| Error::line(path, text.lines().count() + 1, expected, "the end of the file"))?;
-        let values: Option<Vec<f64>> = line.split_whitespace().map(|word| word.parse().ok()).collect();
-        *row = values
-            .and_then(|values| values.try_into().ok())
-            .ok_or_else(|| Error::line(path, number, expected, text::quoted(line)))?;
-    }
-    let matrix = DMat4::from_cols_array_2d(&rows).transpose();
-    Se3::try_from_matrix(matrix).map_err(|reason| Error::line(path, 1, expected, reason.to_string()))
 }
