@@ -585,6 +585,7 @@ impl Log {
         let status = match &result.status {
             FrameStatus::Placed => "placed",
             FrameStatus::Tracked => "tracked",
+            FrameStatus::Poor { .. } => "poor",
             FrameStatus::Lost { .. } => "LOST",
             FrameStatus::NoPose => "no pose",
             FrameStatus::NoDepth => "no depth",

@@ -65,6 +65,7 @@ impl<W: Write> Timings<W> {
             status: match result.status {
                 FrameStatus::Placed => "placed",
                 FrameStatus::Tracked => "tracked",
+                FrameStatus::Poor { .. } => "poor",
                 FrameStatus::Lost { .. } => "lost",
                 FrameStatus::NoPose => "no-pose",
                 FrameStatus::NoDepth => "no-depth",

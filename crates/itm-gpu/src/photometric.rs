@@ -40,6 +40,13 @@ impl PointList {
         &self.levels[level.saturating_sub(self.finest).min(self.levels.len() - 1)]
     }
 
+    /// Empties the lists.
+    pub fn clear(&self, recorder: &mut Recorder) {
+        for (_, points) in &self.levels {
+            recorder.clear(points, points.size());
+        }
+    }
+
     /// Reads a level back: world coordinates in metres and a colour for each point, `None` for none. Waits. For tests.
     ///
     /// # Errors

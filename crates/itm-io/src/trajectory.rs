@@ -61,7 +61,7 @@ fn parse_tum(text: &str, path: &Path) -> Result<Trajectory, Error> {
 /// use itm_io::trajectory::PoseFiles;
 ///
 /// let poses = PoseFiles::new("scan".as_ref(), "poses/%06d.txt")?;
-/// if let Some(world_from_camera) = poses.read(17, None)? {
+/// if let Some(world_from_camera) = poses.read(17, Timestamp(0))? {
 ///     println!("{}", world_from_camera.translation);
 /// }
 /// # Ok::<(), itm_io::Error>(())
@@ -72,9 +72,14 @@ pub struct PoseFiles(Source);
 #[derive(Debug)]
 enum Source {
     Matrices(Pattern),
-    Trajectory(Trajectory),
+    Trajectory {
+        poses: Trajectory,
+        /// Whether its first column counts frames rather than seconds: every entry is a whole number.
+        numbered: bool,
+    },
 }
 
+const SECOND_NS: i64 = 1_000_000_000;
 /// Largest distance in time between a frame and its pose in a trajectory.
 const TOLERANCE_NS: i64 = 20_000_000;
 
@@ -87,7 +92,9 @@ impl PoseFiles {
     /// [`read_tum`]).
     pub fn new(folder: &Path, given: &str) -> Result<Self, Error> {
         if !given.contains(['%', '*']) {
-            return read_tum(&folder.join(given)).map(|poses| Self(Source::Trajectory(poses)));
+            let poses = read_tum(&folder.join(given))?;
+            let numbered = poses.poses().iter().all(|p| p.timestamp.0 % SECOND_NS == 0);
+            return Ok(Self(Source::Trajectory { poses, numbered }));
         }
         let pattern = Pattern::parse(folder, given)?;
         if pattern.varying == Varying::Text {
@@ -104,13 +111,13 @@ impl PoseFiles {
 
     /// The pose of a frame, `world_from_camera`: from the file with its number, which holds 16 or 12 numbers, a 4x4 matrix
     /// from camera to world or its upper three rows; or from the trajectory, where the pose nearest to its time within 20 ms
-    /// counts. Without a time, as for recordings that have none, the trajectory's first column holds frame numbers.
+    /// counts. A trajectory whose first column holds whole numbers only, as for recordings without times, counts frames there.
     ///
     /// `None` where there is no such file or pose.
     ///
     /// # Errors
     /// Where a file cannot be read, or what it holds is no rigid motion of finite numbers; the error names file and line.
-    pub fn read(&self, number: u64, timestamp: Option<Timestamp>) -> Result<Option<Se3>, Error> {
+    pub fn read(&self, number: u64, timestamp: Timestamp) -> Result<Option<Se3>, Error> {
         match &self.0 {
             Source::Matrices(pattern) => {
                 let path = pattern.path_expected(&number.to_string());
@@ -120,14 +127,13 @@ impl PoseFiles {
                     Err(reason) => Err(Error::io("open", &path, reason)),
                 }
             }
-            Source::Trajectory(poses) => {
-                let pose = match timestamp {
-                    Some(time) => poses.nearest(time, TOLERANCE_NS),
+            Source::Trajectory { poses, numbered } => {
+                let pose = if *numbered {
                     // A frame number reads as so many seconds.
-                    None => i64::try_from(number)
-                        .ok()
-                        .and_then(|n| n.checked_mul(1_000_000_000))
-                        .and_then(|ns| poses.nearest(Timestamp(ns), 0)),
+                    let time = i64::try_from(number).ok().and_then(|n| n.checked_mul(SECOND_NS));
+                    time.and_then(|ns| poses.nearest(Timestamp(ns), 0))
+                } else {
+                    poses.nearest(timestamp, TOLERANCE_NS)
                 };
                 Ok(pose.map(|pose| pose.world_from_camera))
             }
@@ -287,11 +293,11 @@ mod tests {
         std::fs::write(poses.join("0007.txt"), "0 -1 0 1\n1 0 0 2\n0 0 1 3\n0 0 0 1\n").unwrap();
         std::fs::write(poses.join("0008.txt"), "1 0 0 0\n0 1 0 nan\n0 0 1 0\n").unwrap();
         let files = PoseFiles::new(folder.path(), "poses/%04d.txt").unwrap();
-        let pose = files.read(7, None).unwrap().unwrap();
+        let pose = files.read(7, Timestamp(0)).unwrap().unwrap();
         assert_eq!(pose.translation, DVec3::new(1.0, 2.0, 3.0));
         assert!(pose.transform_vector(DVec3::X).abs_diff_eq(DVec3::Y, 1e-12), "camera to world");
-        assert_eq!(files.read(9, None).unwrap(), None);
-        let error = files.read(8, None).unwrap_err().to_string();
+        assert_eq!(files.read(9, Timestamp(0)).unwrap(), None);
+        let error = files.read(8, Timestamp(0)).unwrap_err().to_string();
         assert!(error.contains("0008.txt', line 2") && error.contains("'nan'"), "{error}");
 
         let error = PoseFiles::new(folder.path(), "poses/*.txt").unwrap_err().to_string();
@@ -306,13 +312,15 @@ mod tests {
         let rows = "# poses\n5 1 0 0 0 0 0 1\n6 2 0 0 0 0 0 1\n6.03 3 0 0 0 0 0 1\n";
         std::fs::write(folder.path().join("t.txt"), rows).unwrap();
         let poses = PoseFiles::new(folder.path(), "t.txt").unwrap();
-        let x = |number, ms: Option<i64>| {
-            let time = ms.map(|ms| Timestamp(ms * 1_000_000));
-            poses.read(number, time).unwrap().map(|pose| pose.translation.x)
+        let x = |poses: &PoseFiles, number, ms: i64| {
+            poses.read(number, Timestamp(ms * 1_000_000)).unwrap().map(|pose| pose.translation.x)
         };
-        assert_eq!((x(0, Some(6_012)), x(0, Some(6_016)), x(5, Some(6_049))), (Some(2.0), Some(3.0), Some(3.0)));
-        assert_eq!(x(5, Some(5_021)), None, "farther than 20 ms");
-        assert_eq!((x(5, None), x(6, None), x(7, None), x(u64::MAX, None)), (Some(1.0), Some(2.0), None, None));
+        assert_eq!((x(&poses, 0, 6_012), x(&poses, 0, 6_016), x(&poses, 5, 6_049)), (Some(2.0), Some(3.0), Some(3.0)));
+        assert_eq!(x(&poses, 5, 5_021), None, "farther than 20 ms");
+        // Whole numbers are those of frames, as in the trajectory of a recording without times.
+        std::fs::write(folder.path().join("n.txt"), "5 1 0 0 0 0 0 1\n6 2 0 0 0 0 0 1\n").unwrap();
+        let poses = PoseFiles::new(folder.path(), "n.txt").unwrap();
+        assert_eq!([5, 6, 7, u64::MAX].map(|n| x(&poses, n, 5_000)), [Some(1.0), Some(2.0), None, None]);
         assert!(PoseFiles::new(folder.path(), "none.txt").is_err());
     }
 

@@ -9,7 +9,7 @@ use itm_gpu::mesh::Extract;
 use itm_gpu::photometric::PointList;
 use itm_gpu::render::{Render, Shading};
 use itm_gpu::view::{ViewOptions, ViewStage};
-use itm_gpu::{Device, FrameRecord, RaycastImage, Recorder, View};
+use itm_gpu::{Device, FrameRecord, RaycastImage, Recorder, StageTimes, View};
 
 use crate::Error;
 use crate::mapper::{Late, Mapper};
@@ -29,8 +29,13 @@ pub enum Poses {
 pub enum FrameStatus {
     /// The map's first frame, or one fused at its given pose.
     Placed,
-    /// Tracked.
+    /// Tracked, and its pose can be relied on.
     Tracked,
+    /// Tracked, but its pose may be off, for this reason. Not fused unless `tracker.verdict.fuse_poor` says so.
+    Poor {
+        /// In words and numbers.
+        reason: String,
+    },
     /// Not tracked, for this reason.
     Lost {
         /// In words and numbers.
@@ -127,6 +132,10 @@ pub struct Slam {
     /// The map as seen from the last fused pose.
     model: RaycastImage,
     world_from_model: Option<Se3>,
+    /// The last pose with a good verdict, to which tracking returns after a loss.
+    last_good: Option<Se3>,
+    /// Good frames still to come after a loss before frames are fused again.
+    to_recover: u32,
     trajectory: Trajectory,
 }
 
@@ -177,6 +186,8 @@ impl Slam {
             extract: Extract::new(device),
             model,
             world_from_model: None,
+            last_good: None,
+            to_recover: 0,
             trajectory: Trajectory::default(),
         })
     }
@@ -209,10 +220,51 @@ impl Slam {
     /// Takes in a frame: view, track, allocate, integrate, raycast.
     ///
     /// # Errors
-    /// Where an image has another size than the calibration says, or the device fails. That a frame could not be tracked
-    /// is no error but a status.
+    /// Where an image has another size than the calibration says, a file with poses cannot be read, or the device fails.
+    /// That a frame could not be tracked is no error but a status.
     pub fn process(&mut self, frame: &Frame) -> Result<FrameResult, Error> {
         let _span = tracing::info_span!("frame", index = frame.index).entered();
+        let view_times = self.look(frame)?;
+        let report = self.mapper.consume()?.map(|late| self.report(late));
+        self.motion.sense(frame);
+        let started = std::time::Instant::now();
+        let located = self.locate(frame)?;
+        let track_ms = started.elapsed().as_secs_f64() * 1e3;
+        self.conclude(frame, located, view_times, track_ms, report)
+    }
+
+    /// Takes in a frame whose pose is known from elsewhere, and fuses it there. Tracking goes on from it.
+    ///
+    /// # Errors
+    /// As [`Slam::process`].
+    pub fn place(&mut self, frame: &Frame, world_from_camera: &Se3) -> Result<FrameResult, Error> {
+        let _span = tracing::info_span!("frame", index = frame.index).entered();
+        let view_times = self.look(frame)?;
+        let report = self.mapper.consume()?.map(|late| self.report(late));
+        self.motion.sense(frame);
+        let located = if world_from_camera.is_finite() {
+            Located { status: FrameStatus::Placed, tracked: None, pose: Some(*world_from_camera), fuse: true }
+        } else {
+            Located::without(FrameStatus::NoPose)
+        };
+        self.conclude(frame, located, view_times, 0.0, report)
+    }
+
+    /// Finds a frame's pose in the map from certain poses, and leaves everything as it is; `None` without a map.
+    ///
+    /// # Errors
+    /// As [`Slam::process`].
+    pub fn probe(&mut self, frame: &Frame, starts: &[Se3]) -> Result<Option<Tracked>, Error> {
+        let _untimed = self.look(frame)?;
+        let Some(world_from_model) = self.world_from_model else { return Ok(None) };
+        let mut tracker = self.tracker.clone();
+        let (motion, age) = (self.motion.clone(), self.age);
+        let mut objective = self.objective(frame, world_from_model);
+        tracker.track_from(&mut objective, frame, &motion, age, starts).map(Some)
+    }
+
+    /// Uploads a frame, and makes what tracking and fusion use of it.
+    fn look(&mut self, frame: &Frame) -> Result<StageTimes, Error> {
         let mut recorder = Recorder::timed(&self.device);
         let colourless;
         let frame_used = if self.settings.view.colour || frame.colour.is_none() {
@@ -222,57 +274,142 @@ impl Slam {
             &colourless
         };
         self.view_stage.record(&mut recorder, &mut self.view, frame_used, &self.view_options)?;
-        let view_times = recorder.submit();
-        let report = self.mapper.consume()?.map(|late| self.report(late));
+        Ok(recorder.submit())
+    }
 
-        self.motion.sense(frame);
-        let colour_lead = self.motion.colour_lead(frame, &self.settings.view);
-        let before = self.motion.last();
-        let started = std::time::Instant::now();
-        let (mut status, tracked, pose) = self.locate(frame)?;
-        let track_ms = started.elapsed().as_secs_f64() * 1e3;
-
-        let mut fuse_at = match (&status, self.settings.tracker.on_failure) {
-            (FrameStatus::Lost { .. }, OnFailure::Ignore) => self.world_from_model,
-            _ => pose,
+    /// Where the frame's camera is, and what is to become of the frame.
+    fn locate(&mut self, frame: &Frame) -> Result<Located, Error> {
+        if self.poses == Poses::Given {
+            let pose = frame.world_from_camera.filter(Se3::is_finite);
+            let status = if pose.is_some() { FrameStatus::Placed } else { FrameStatus::NoPose };
+            return Ok(Located { status, tracked: None, pose, fuse: true });
+        }
+        let Some(world_from_model) = self.world_from_model else {
+            let pose = self.first_pose(frame)?;
+            let status = if pose.is_some() { FrameStatus::Placed } else { FrameStatus::NoPose };
+            return Ok(Located { status, tracked: None, pose, fuse: true });
         };
-        if let Some(world_from_camera) = fuse_at {
-            let depth_from_then = colour_offset(&before, &world_from_camera, colour_lead).inverse();
-            let colour_from_depth = self.calibration.colour_from_depth * depth_from_then;
-            let times = vec![view_times];
-            if self.mapper.fuse(frame.index, &self.view, &world_from_camera, &colour_from_depth, &self.model, times)? {
+        let settings = &self.settings.tracker;
+        let on_failure = settings.on_failure;
+        let further = match (self.to_recover, on_failure) {
+            (1.., OnFailure::Relocalise) => around(&world_from_model),
+            _ => Vec::new(),
+        };
+        let mut tracker = self.tracker.clone();
+        let (motion, age) = (self.motion.clone(), self.age);
+        let mut objective = self.objective(frame, world_from_model);
+        let tracked = tracker.track(&mut objective, frame, &motion, age, &further)?;
+        self.tracker = tracker;
+        let pose = Some(tracked.world_from_camera);
+        let reason = tracked.reasons.join("; ");
+        let settings = &self.settings.tracker;
+        let located = match tracked.verdict {
+            Verdict::Good if self.to_recover > 1 => {
+                self.to_recover -= 1;
+                let left = self.to_recover;
+                let reason = format!("tracked again after a loss; fused after {left} more good frames");
+                Located { status: FrameStatus::Poor { reason }, tracked: Some(tracked), pose, fuse: false }
+            }
+            Verdict::Good => {
+                self.to_recover = 0;
+                self.last_good = pose;
+                Located { status: FrameStatus::Tracked, tracked: Some(tracked), pose, fuse: true }
+            }
+            Verdict::Poor => {
+                let fuse = settings.verdict.fuse_poor && self.to_recover == 0;
+                Located { status: FrameStatus::Poor { reason }, tracked: Some(tracked), pose, fuse }
+            }
+            Verdict::Lost if on_failure == OnFailure::Ignore => {
+                let status = FrameStatus::Lost { reason };
+                Located { status, tracked: Some(tracked), pose: Some(world_from_model), fuse: true }
+            }
+            Verdict::Lost => {
+                self.to_recover = match on_failure {
+                    OnFailure::Relocalise => settings.verdict.frames_to_recover + 1,
+                    _ => 0,
+                };
+                self.return_to_last_good()?;
+                Located { tracked: Some(tracked), ..Located::without(FrameStatus::Lost { reason }) }
+            }
+        };
+        Ok(located)
+    }
+
+    /// Where the world begins: at the first camera, unless poses come from files.
+    fn first_pose(&self, frame: &Frame) -> Result<Option<Se3>, Error> {
+        self.tracker.pose_from_file(frame).unwrap_or(Ok(Some(Se3::IDENTITY)))
+    }
+
+    /// Tracking goes on from the last pose that could be relied on.
+    fn return_to_last_good(&mut self) -> Result<(), Error> {
+        let Some(last_good) = self.last_good else { return Ok(()) };
+        self.motion.return_to(last_good);
+        if self.world_from_model != Some(last_good) {
+            let far = self.settings.view.max_depth_m + self.settings.map.truncation_m;
+            self.mapper.cast_into(&self.model, &last_good, far)?;
+            self.world_from_model = Some(last_good);
+            // The frame before was taken elsewhere.
+            let mut recorder = Recorder::new(&self.device);
+            if let Some(list) = &self.lists[Against::Previous as usize] {
+                list.clear(&mut recorder);
+            }
+            self.record_map_list(&mut recorder, &last_good);
+            let _untimed = recorder.submit();
+        }
+        Ok(())
+    }
+
+    /// Fuses a frame, or does not, and prepares the next one's tracking.
+    fn conclude(
+        &mut self,
+        frame: &Frame,
+        located: Located,
+        view_times: StageTimes,
+        track_ms: f64,
+        report: Option<FrameReport>,
+    ) -> Result<FrameResult, Error> {
+        let Located { mut status, tracked, mut pose, fuse } = located;
+        let mut fused = false;
+        if let Some(world_from_camera) = pose {
+            let lead = self.motion.colour_lead(frame, &self.settings.view);
+            let offset = colour_offset(&self.motion.last(), &world_from_camera, lead);
+            let colour_from_depth = self.calibration.colour_from_depth * offset.inverse();
+            if fuse {
+                let times = vec![view_times];
+                let (view, model) = (&self.view, &self.model);
+                fused = self.mapper.fuse(frame.index, view, &world_from_camera, &colour_from_depth, model, times)?;
+                if !fused {
+                    (status, pose) = (FrameStatus::NoDepth, None);
+                }
+            } else {
+                let far = self.settings.view.max_depth_m + self.settings.map.truncation_m;
+                self.mapper.cast_into(&self.model, &world_from_camera, far)?;
+            }
+            if let Some(world_from_camera) = pose {
+                self.age.frames += u64::from(fused);
                 self.world_from_model = Some(world_from_camera);
-                self.age.frames += 1;
+                if matches!(status, FrameStatus::Placed) {
+                    self.last_good = pose;
+                }
                 self.motion.moved_to(frame, world_from_camera);
                 self.list_colours(&(world_from_camera * colour_from_depth.inverse()), &world_from_camera);
                 self.trajectory.push(StampedPose { timestamp: frame.timestamp, world_from_camera });
-            } else {
-                status = FrameStatus::NoDepth;
-                fuse_at = None;
             }
         }
         Ok(FrameResult {
             index: frame.index,
             timestamp: frame.timestamp,
-            world_from_camera: fuse_at,
+            world_from_camera: pose,
             status,
             tracked,
-            fused: fuse_at.is_some(),
+            fused,
             track_ms,
             report,
         })
     }
 
-    /// Where the frame's camera is.
-    fn locate(&mut self, frame: &Frame) -> Result<(FrameStatus, Option<Tracked>, Option<Se3>), Error> {
-        if self.poses == Poses::Given {
-            let pose = frame.world_from_camera.filter(Se3::is_finite);
-            return Ok((if pose.is_some() { FrameStatus::Placed } else { FrameStatus::NoPose }, None, pose));
-        }
-        let Some(world_from_model) = self.world_from_model else {
-            return Ok((FrameStatus::Placed, None, Some(Se3::IDENTITY)));
-        };
-        let mut objective = ModelObjective {
+    fn objective(&mut self, frame: &Frame, world_from_model: Se3) -> ModelObjective<'_> {
+        ModelObjective {
             evaluator: &mut self.evaluator,
             view: &self.view,
             model: &self.model,
@@ -281,13 +418,7 @@ impl Slam {
             before: self.motion.last(),
             colour_lead: self.motion.colour_lead(frame, &self.settings.view),
             depth_from_colour: self.calibration.colour_from_depth.inverse(),
-        };
-        let tracked = self.tracker.track(&mut objective, frame, &self.motion, self.age, &[])?;
-        let (status, pose) = match &tracked.verdict {
-            Verdict::Good | Verdict::Poor => (FrameStatus::Tracked, Some(tracked.world_from_camera)),
-            Verdict::Lost => (FrameStatus::Lost { reason: tracked.reasons.join("; ") }, None),
-        };
-        Ok((status, Some(tracked), pose))
+        }
     }
 
     /// Lists the model's points with their colours for the next frame's tracking.
@@ -296,14 +427,19 @@ impl Slam {
             return;
         }
         let mut recorder = Recorder::new(&self.device);
-        let stage = &self.evaluator.photometric;
         if let Some(list) = &self.lists[Against::Previous as usize] {
+            let stage = &self.evaluator.photometric;
             stage.list_previous(&mut recorder, list, &self.model, &self.view, world_from_colour, 0.0);
         }
-        if let Some(list) = &self.lists[Against::Map as usize] {
-            stage.list_map(&mut recorder, list, &self.model, &self.mapper.map, world_from_camera, 0.0);
-        }
+        self.record_map_list(&mut recorder, world_from_camera);
         let _untimed = recorder.submit();
+    }
+
+    fn record_map_list(&self, recorder: &mut Recorder, world_from_camera: &Se3) {
+        if let Some(list) = &self.lists[Against::Map as usize] {
+            let stage = &self.evaluator.photometric;
+            stage.list_map(recorder, list, &self.model, &self.mapper.map, world_from_camera, 0.0);
+        }
     }
 
     fn report(&self, late: Late) -> FrameReport {
@@ -351,6 +487,34 @@ impl Slam {
         let image = self.mapper.cast(camera, world_from_camera, max_depth_m)?;
         Ok(self.render.run(&self.mapper.map, &image, world_from_camera, shading)?)
     }
+}
+
+/// Where a frame's camera is, and what is to become of the frame.
+struct Located {
+    status: FrameStatus,
+    tracked: Option<Tracked>,
+    pose: Option<Se3>,
+    /// Whether the frame is fused at its pose.
+    fuse: bool,
+}
+
+impl Located {
+    fn without(status: FrameStatus) -> Self {
+        Self { status, tracked: None, pose: None, fuse: false }
+    }
+}
+
+/// Poses around one, to start from after a loss: turned as far as an image still overlaps.
+fn around(pose: &Se3) -> Vec<Se3> {
+    let turns = [10.0_f64, -10.0, 20.0, -20.0].map(f64::to_radians);
+    let about = |axis: usize| {
+        turns.into_iter().map(move |angle| {
+            let mut twist = [0.0; 6];
+            twist[3 + axis] = angle;
+            Se3::exp(twist)
+        })
+    };
+    about(1).chain(about(0)).map(|turn| *pose * turn).collect()
 }
 
 /// What a tracker's plans need of a view and of the model.

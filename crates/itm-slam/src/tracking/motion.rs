@@ -40,9 +40,12 @@ impl Motion {
         self.imu_orientation = frame.imu_orientation;
     }
 
-    /// Forgets the velocity, as after a loss.
-    pub fn stop(&mut self) {
+    /// Goes back to an earlier pose, at rest: after a loss.
+    pub fn return_to(&mut self, world_from_camera: Se3) {
         self.velocity = None;
+        if let Some((_, pose)) = &mut self.last {
+            *pose = world_from_camera;
+        }
     }
 
     /// How much further than from the last pose to a frame's depth image the camera goes until its colour image is taken, as

@@ -1,13 +1,16 @@
 //! The kinds of tracker, and how several work together.
 
+use std::sync::Arc;
+
 use itm_core::{CompositePolicy, Frame, Se3, Settings, TrackerKind};
+use itm_io::trajectory::PoseFiles;
 
 use super::plan::{Age, Plan};
 use super::{Exposure, Guess, Motion, Noise, Objective, Outcome, Tracked, Verdict, optimise, verdict};
 use crate::Error;
 
 /// A tracker, with what it has learnt of the sensor.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Tracker {
     settings: Settings,
     /// Of a composite.
@@ -15,6 +18,8 @@ pub struct Tracker {
     noise: Noise,
     /// Between the map's colours and the last frame's.
     map_exposure: Exposure,
+    /// Of the kind that takes poses from files.
+    poses: Option<Arc<PoseFiles>>,
 }
 
 impl Tracker {
@@ -31,8 +36,18 @@ impl Tracker {
             .into_iter()
             .map(|tracker| Self::new(&Settings { tracker, ..settings.clone() }))
             .collect::<Result<_, _>>()?;
-        let noise = Noise::default();
-        Ok(Self { settings: settings.clone(), parts, noise, map_exposure: Exposure::default() })
+        let poses = match settings.tracker.kind {
+            TrackerKind::File => Some(Arc::new(PoseFiles::new("".as_ref(), &settings.tracker.file.mask)?)),
+            _ => None,
+        };
+        let (noise, map_exposure) = (Noise::default(), Exposure::default());
+        Ok(Self { settings: settings.clone(), parts, noise, map_exposure, poses })
+    }
+
+    /// The pose that a file holds for a frame; `None` for trackers that take none from files.
+    pub(crate) fn pose_from_file(&self, frame: &Frame) -> Option<Result<Option<Se3>, Error>> {
+        let poses = self.poses.as_ref()?;
+        Some(poses.read(frame.index, frame.timestamp).map_err(Error::from))
     }
 
     /// The plans that the tracker, and those that it is made of, carry out.
@@ -87,7 +102,10 @@ impl Tracker {
         let held = motion.last().or(starts.first().copied()).unwrap_or_default();
         match self.settings.tracker.kind {
             TrackerKind::ForceFail => Ok(Tracked::lost(held, "this tracker always fails".into())),
-            TrackerKind::File => todo!(),
+            TrackerKind::File => match self.pose_from_file(frame).transpose()?.flatten() {
+                Some(pose) => Ok(Tracked::given(pose)),
+                None => Ok(Tracked::lost(held, format!("no file holds a pose of frame {}", frame.index))),
+            },
             TrackerKind::Composite => self.track_composite(objective, frame, motion, age, starts),
             _ => {
                 let plan = self.plan(age).expect("every other kind has a plan");

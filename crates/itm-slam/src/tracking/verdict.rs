@@ -37,6 +37,9 @@ pub struct Tracked {
     pub verdict: Verdict,
     /// Why it is not good, in words and numbers.
     pub reasons: Vec<String>,
+    /// The classifier's estimate of the chance that the pose is wrong by more than 5 cm or 5 degrees; 0 or 1 where it was not
+    /// asked.
+    pub chance_wrong: f64,
     /// Pairs at the end of the finest level that was used.
     pub inliers: u32,
     /// Pairs as a share of the pixels with a depth.
@@ -54,12 +57,18 @@ pub struct Tracked {
 }
 
 impl Tracked {
+    /// A pose that was not estimated.
+    pub(crate) fn given(pose: Se3) -> Self {
+        Self { verdict: Verdict::Good, reasons: Vec::new(), chance_wrong: 0.0, ..Self::lost(pose, String::new()) }
+    }
+
     pub(crate) fn lost(held: Se3, reason: String) -> Self {
         Self {
             world_from_camera: held,
             estimate: held,
             verdict: Verdict::Lost,
             reasons: vec![reason],
+            chance_wrong: 1.0,
             inliers: 0,
             inlier_share: 0.0,
             rms_m: f64::INFINITY,
@@ -101,6 +110,7 @@ pub(crate) fn judge(
         estimate: finite,
         verdict,
         reasons,
+        chance_wrong: 0.0,
         inliers: count,
         inlier_share: share,
         rms_m: (squares / f64::from(count)).sqrt(),
