@@ -9,7 +9,7 @@ use super::{Evaluation, Exposure, Guess, Part, Plan, Request};
 /// Standard deviations of the terms' residuals, by which they are made comparable.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Noise {
-    /// Of distances from a plane, in metres.
+    /// Of distances from a plane, in metres, for a pixel that counts fully.
     pub depth_m: f64,
     /// Of differences in colour (0 to 1), by [`super::Against`].
     pub colour: [f64; 2],
@@ -27,7 +27,9 @@ impl Noise {
     #[must_use]
     pub fn measured(self, evaluation: &Evaluation) -> Self {
         let rms = |squares: f64, count: u32| (squares / f64::from(count)).sqrt();
-        let depth = evaluation.depth.filter(|d| d.count >= 100).map(|d| rms(d.squares, d.count).clamp(2e-4, 0.03));
+        // Of a pixel that counts fully: others have a weight for being noisier.
+        let full = |d: DepthSums| (2.0 * d.cost / d.weights).sqrt();
+        let depth = evaluation.depth.filter(|d| d.count >= 100).map(|d| full(d).clamp(1e-4, 0.03));
         let colour = std::array::from_fn(|i| {
             let sums = evaluation.colour[i].filter(|c| c.count >= 100);
             sums.map_or(self.colour[i], |c| rms(c.squares, c.count).clamp(0.005, 0.1))
