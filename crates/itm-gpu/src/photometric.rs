@@ -132,8 +132,7 @@ impl Photometric {
             image,
             list: points,
         };
-        let pipeline =
-            self.previous.get_or_init(|| Pipeline::plain(&self.device, &photometric::previous::PASS));
+        let pipeline = self.previous.get_or_init(|| Pipeline::plain(&self.device, &photometric::previous::PASS));
         recorder.dispatch(pipeline, &bindings, Groups::linear(u64::from(width * height), 64));
         self.halve(recorder, list, world_from_colour);
     }
@@ -232,9 +231,8 @@ impl Photometric {
             partial_sums: reduce.partial(slot, rows, PhotometricSums::COLUMNS),
         };
         let (slot_of, features): (_, &[&str]) = if term.rgb { (&self.rgb_sums, &["rgb"]) } else { (&self.sums, &[]) };
-        let pipeline = slot_of.get_or_init(|| {
-            Pipeline::new(&self.device, &photometric::sums::PASS, features, &self.shares.constants())
-        });
+        let pipeline = slot_of
+            .get_or_init(|| Pipeline::new(&self.device, &photometric::sums::PASS, features, &self.shares.constants()));
         recorder.dispatch(pipeline, &bindings, Groups::Count([groups, 1, 1]));
         reduce.record(recorder, slot, rows, PhotometricSums::COLUMNS);
         true

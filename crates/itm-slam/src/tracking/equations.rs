@@ -105,7 +105,8 @@ impl NormalEquations {
     }
 
     fn add_cost(&mut self, weight: f64, error: f64, compared: f64, unseen: f64, largest_error: f64) {
-        self.cost += weight * if compared > 0.0 { error / compared * (compared + unseen) } else { unseen * largest_error };
+        self.cost +=
+            weight * if compared > 0.0 { error / compared * (compared + unseen) } else { unseen * largest_error };
         self.cost_of_all += weight * (error + unseen * largest_error);
     }
 
