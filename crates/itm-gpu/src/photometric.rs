@@ -87,7 +87,7 @@ pub struct Photometric {
 }
 
 /// Points of one surface lie at most so far apart (metres, a metre away), where they are neighbours in the finest list.
-const REACH_M: f32 = 0.02;
+pub const REACH_M: f32 = 0.02;
 
 impl Photometric {
     /// Prepares the stage; pipelines are compiled when first needed.

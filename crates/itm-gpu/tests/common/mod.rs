@@ -210,6 +210,22 @@ impl Scene {
         })
     }
 
+    /// What a colour camera sees of surfaces painted smoothly, as a function of the place in the world; no colour where a ray
+    /// meets nothing.
+    pub(crate) fn colour(&self, camera: &Intrinsics, world_from_camera: &Se3) -> ColourImage {
+        let depth = self.depth(camera, world_from_camera);
+        ColourImage::from_fn(camera.width, camera.height, |x, y| {
+            let z = f64::from(depth[(x, y)]);
+            if z == 0.0 {
+                return [0; 4];
+            }
+            let seen = camera.unproject(DVec2::new(x.into(), y.into()), z);
+            let [r, g, b] =
+                paint(world_from_camera.transform_point(seen)).to_array().map(|v| (255.0 * v).round() as u8);
+            [r, g, b, 255]
+        })
+    }
+
     /// The shape nearest to a point.
     fn nearest(&self, point: DVec3) -> &Shape {
         self.0.iter().min_by(|a, b| a.distance(point).total_cmp(&b.distance(point))).expect("a scene has shapes")
@@ -224,6 +240,12 @@ impl Scene {
     pub(crate) fn normal(&self, point: DVec3, seen_from: DVec3) -> DVec3 {
         self.nearest(point).normal(point, seen_from)
     }
+}
+
+/// Colour, 0 to 1, of a surface at a place in the world: waves of about 0.4 m.
+pub(crate) fn paint(place: DVec3) -> DVec3 {
+    let wave = |x: f64, y: f64, z: f64| 0.5 + 0.4 * (place.dot(DVec3::new(x, y, z))).sin();
+    DVec3::new(wave(15.0, 5.0, -8.0), wave(-5.0, 16.0, 5.0), wave(7.0, -7.0, 12.0))
 }
 
 /// A colour image without flat or straight parts.
