@@ -44,6 +44,7 @@ impl PointList {
     ///
     /// # Errors
     /// Where the device was lost.
+    #[expect(clippy::type_complexity, reason = "a place and a colour, or none")]
     pub fn read(&self, device: &Device, level: usize) -> Result<Vec<Option<([f32; 3], [u8; 4])>>, Error> {
         let ((width, height), buffer) = self.level(level);
         let words: Vec<[u32; 4]> = device.read(buffer, 0, u64::from(*width) * u64::from(*height) * 16)?;
