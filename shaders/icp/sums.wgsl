@@ -60,11 +60,12 @@ struct Pair {
 
 fn pair(pixel: vec2<u32>) -> Pair {
     let z = depth[pixel.y * params.depth_camera.size.x + pixel.x];
-    if z <= 0.0 {
-        return Pair(vec3(0.0), vec3(0.0), 0.0, 0.0, 0.0, 0.0, 0.0);
-    }
-    let weight = weight_by_depth(params.depth_weight, params.depth_camera.depth_range, z);
+    let weight = select(0.0, weight_by_depth(params.depth_weight, params.depth_camera.depth_range, z), z > 0.0);
     let none = Pair(vec3(0.0), vec3(0.0), 0.0, weight, 0.0, 0.0, 0.0);
+    // What does not count is neither measured nor a pair.
+    if weight <= 0.0 {
+        return none;
+    }
     let world = (params.world_from_camera * vec4(unproject(params.depth_camera, vec2<f32>(pixel), z), 1.0)).xyz;
     let seen = (params.model_camera_from_world * vec4(world, 1.0)).xyz;
     if seen.z <= 0.0 {
@@ -75,18 +76,19 @@ fn pair(pixel: vec2<u32>) -> Pair {
         return none;
     }
     let at = u32(where_seen.y) * params.model_camera.size.x + u32(where_seen.x);
+    // The fourth number is how often the point was observed, plus one; 0 where there is none.
     let model = points[at];
     let normal = normals[at];
+    if normal.w == 0.0 || model.w < params.least_confidence + 1.0 {
+        return none;
+    }
     let offset = world - model.xyz;
     let residual = dot(offset, normal.xyz);
     let square = dot(offset, offset);
-    let far = square > params.max_distance * params.max_distance || abs(residual) > params.max_plane_distance;
-    if normal.w == 0.0 || model.w <= params.least_confidence || far {
+    if square > params.max_distance * params.max_distance || abs(residual) > params.max_plane_distance {
         // Along the ray of the model's camera.
-        let to_camera = params.pivot - world;
-        let beyond = dot(offset, to_camera) < 0.0;
-        let apart = f32(normal.w > 0.0 && far);
-        return Pair(vec3(0.0), vec3(0.0), 0.0, weight, 0.0, select(apart, 0.0, beyond), select(0.0, apart, beyond));
+        let beyond = f32(dot(offset, params.pivot - world) < 0.0);
+        return Pair(vec3(0.0), vec3(0.0), 0.0, weight, 0.0, 1.0 - beyond, beyond);
     }
     let confidence = select(1.0, min((model.w - 1.0) / params.full_confidence, 1.0), params.full_confidence > 0.0);
     return Pair(normal.xyz, cross(world - params.pivot, normal.xyz), residual, weight, weight * confidence, 0.0, 0.0);

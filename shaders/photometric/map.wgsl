@@ -28,7 +28,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         let at = min(cell * params.stride + vec2(params.stride / 2u), params.size - vec2(1u));
         let point = points[at.y * params.size.x + at.x];
         var colour = vec4(0.0);
-        if point.w > params.least_confidence {
+        if point.w >= params.least_confidence + 1.0 {
             colour = colour_at(params.map, point.xyz);
         }
         list[i] = vec4(bitcast<vec3<u32>>(point.xyz), pack4x8unorm(colour));

@@ -35,7 +35,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         let p = (params.colour_camera_from_world * vec4(point.xyz, 1.0)).xyz;
         let pixel = project(params.colour_camera, vec3(p.xy, max(p.z, 1e-3)));
         var colour = vec4(0.0);
-        if point.w > params.least_confidence && p.z > 1e-3 && inside(params.colour_camera, pixel) {
+        if point.w >= params.least_confidence + 1.0 && p.z > 1e-3 && inside(params.colour_camera, pixel) {
             let base = vec2<u32>(pixel);
             let next = min(base + vec2(1u), params.colour_camera.size - vec2(1u));
             let f = pixel - floor(pixel);

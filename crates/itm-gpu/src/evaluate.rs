@@ -75,8 +75,7 @@ impl Evaluator {
         for (index, colour) in colour.into_iter().enumerate() {
             let Some(ColourTerm { list, world_from_colour, term }) = colour else { continue };
             let to = (&mut self.reduce, 1 + index);
-            present[index] =
-                self.photometric.record(&mut recorder, view, world_from_colour, list, pivot, term, to);
+            present[index] = self.photometric.record(&mut recorder, view, world_from_colour, list, pivot, term, to);
         }
         let [of_depth, of_first, of_second] = self.reduce.read(recorder)?;
         let photometric = |sums: Vec<f32>, present: bool| present.then(|| PhotometricSums::new(&sums));

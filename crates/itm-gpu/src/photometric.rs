@@ -51,6 +51,7 @@ impl PointList {
     ///
     /// # Errors
     /// Where the device was lost.
+    #[expect(clippy::type_complexity, reason = "a place and a colour, or none")]
     pub fn read(&self, device: &Device, level: usize) -> Result<Vec<Option<([f32; 3], [u8; 4])>>, Error> {
         let ((width, height), buffer) = self.level(level);
         let words: Vec<[u32; 4]> = device.read(buffer, 0, u64::from(*width) * u64::from(*height) * 16)?;
@@ -94,7 +95,7 @@ pub struct Photometric {
 }
 
 /// Points of one surface lie at most so far apart (metres, a metre away), where they are neighbours in the finest list.
-const REACH_M: f32 = 0.02;
+pub const REACH_M: f32 = 0.02;
 
 impl Photometric {
     /// Prepares the stage; pipelines are compiled when first needed.
@@ -139,8 +140,7 @@ impl Photometric {
             image,
             list: points,
         };
-        let pipeline =
-            self.previous.get_or_init(|| Pipeline::plain(&self.device, &photometric::previous::PASS));
+        let pipeline = self.previous.get_or_init(|| Pipeline::plain(&self.device, &photometric::previous::PASS));
         recorder.dispatch(pipeline, &bindings, Groups::linear(u64::from(width * height), 64));
         self.halve(recorder, list, world_from_colour);
     }
@@ -239,9 +239,8 @@ impl Photometric {
             partial_sums: reduce.partial(slot, rows, PhotometricSums::COLUMNS),
         };
         let (slot_of, features): (_, &[&str]) = if term.rgb { (&self.rgb_sums, &["rgb"]) } else { (&self.sums, &[]) };
-        let pipeline = slot_of.get_or_init(|| {
-            Pipeline::new(&self.device, &photometric::sums::PASS, features, &self.shares.constants())
-        });
+        let pipeline = slot_of
+            .get_or_init(|| Pipeline::new(&self.device, &photometric::sums::PASS, features, &self.shares.constants()));
         recorder.dispatch(pipeline, &bindings, Groups::Count([groups, 1, 1]));
         reduce.record(recorder, slot, rows, PhotometricSums::COLUMNS);
         true

@@ -5,11 +5,12 @@ mod common;
 
 use std::f64::consts::PI;
 
-use common::{Fusion, Gpu, RANGE_M, Scene, Shape, quantile, to_reference};
+use common::{Fusion, Gpu, RANGE_M, Scene, Shape, Slack, quantile, to_reference};
 use glam::{DVec2, DVec3, IVec3};
-use itm_core::{Image, Intrinsics, Se3};
-use itm_gpu::icp::{Icp, NormalEquations};
-use itm_gpu::{RaycastImage, reference};
+use itm_core::{DepthWeight, Image, Intrinsics, Se3};
+use itm_gpu::evaluate::{Compared, Evaluator};
+use itm_gpu::icp::DepthTerm;
+use itm_gpu::{DepthSums, RaycastImage, View, reference};
 use nalgebra::{Matrix6, Vector6};
 use proptest::prelude::*;
 
@@ -141,44 +142,84 @@ proptest! {
     }
 
     #[test]
-    fn the_sums_of_icp_are_the_references(size in size(), pose in pose(), error in pose(), level in 0..3usize, cm in 1..20u32) {
+    fn the_sums_of_icp_are_the_references(
+        size in size(), depth_size in size(), pose in pose(), error in pose(), level in 0..3usize, term in term(),
+        negative_fy: (bool, bool),
+    ) {
         let Some(gpu) = common::gpu() else { return Ok(()) };
-        let camera = common::camera(size.0, size.1);
-        let mut cast = cast(gpu, &Scene::room(), &common::poses(), camera, pose);
+        let flip = |camera: Intrinsics, flip| if flip { Intrinsics { fy: -camera.fy, ..camera } } else { camera };
+        let camera = flip(common::camera(size.0, size.1), negative_fy.0);
+        let cast = cast(gpu, &Scene::room(), &common::poses(), camera, pose);
         // The frame to align: the third pose's, taken to be somewhere near it.
         let guess = common::poses()[2] * Se3::exp(error.log().map(|v| 0.05 * v));
-        let max_distance_m = cm as f32 * 0.01;
-        let frame_depth = Scene::room().depth(&cast.fusion.calibration.depth, &common::poses()[2]);
-        cast.fusion.allocate(gpu, &common::frame(frame_depth, None), &guess);
-        let view = &cast.fusion.view;
-        let found = Icp::new(&gpu.device).evaluate(view, level, &guess, &cast.image, &pose, max_distance_m).unwrap();
+        let depth_camera = flip(common::camera(depth_size.0, depth_size.1), negative_fy.1);
+        let calibration = common::one_camera(depth_camera);
+        let view = gpu.see(&calibration, &common::frame(Scene::room().depth(&depth_camera, &common::poses()[2]), None));
+        let found = sums(gpu, &cast, &view, level, &guess, &term);
 
         let model = model(&cast, gpu);
         let depth = view.read_depth(&gpu.device, level).unwrap();
         let level_camera = view.level_camera(level);
-        let expected = reference::icp::icp(&model, &depth, level_camera, &guess, max_distance_m);
-        let slack = icp_slack(&model, &depth, level_camera, &guess, max_distance_m.into());
-        prop_assert_eq!(found.valid, expected.valid);
-        prop_assert!(found.count.abs_diff(expected.count) <= slack.count, "{} but {}", found.count, expected.count);
-        prop_assert!((found.squares - expected.squares).abs() <= slack.squares, "{} but {}", found.squares, expected.squares);
-        for i in 0..6 {
-            for j in 0..6 {
-                let (a, b) = (found.hessian[i][j], expected.hessian[i][j]);
-                prop_assert!((a - b).abs() <= slack.hessian[i][j], "JtJ {i} {j}: {a} but {b}");
-            }
-            let (a, b) = (found.gradient[i], expected.gradient[i]);
-            prop_assert!((a - b).abs() <= slack.gradient[i], "Jtr {i}: {a} but {b}");
-        }
+        let expected = reference::icp::icp(&model, &depth, level_camera, &guess, &term);
+        let slack = icp_slack(&model, &depth, level_camera, &guess, &term);
+        slack.check(&numbers(&found), &numbers(&expected))?;
+        prop_assert!(found.in_front + found.behind + found.count <= found.valid, "{found:?}");
     }
 }
 
+/// What counts in the depth term, and how much.
+fn term() -> impl Strategy<Value = DepthTerm> {
+    let limits = (
+        0.01..0.2f32,
+        prop_oneof![Just(f32::MAX), 0.001..0.1f32],
+        prop_oneof![Just(f32::MAX), Just(f32::INFINITY), 0.0005..0.05f32],
+    );
+    let weight = prop_oneof![Just(DepthWeight::None), Just(DepthWeight::Linear), Just(DepthWeight::Noise)];
+    // Points were observed up to three times, and depths reach beyond the nearer of the ranges.
+    let confidence = (prop_oneof![Just(0.0f32), (1..6u8).prop_map(f32::from)], (0..4u8).prop_map(f32::from));
+    (limits, weight, 1.5..4.0f32, confidence, 1..4u32).prop_map(|(limits, weight, far_m, confidence, stride)| {
+        DepthTerm {
+            max_distance_m: limits.0,
+            max_plane_distance_m: limits.1,
+            huber_m: limits.2,
+            weight,
+            depth_range_m: [0.5, far_m],
+            full_confidence: confidence.0,
+            least_confidence: confidence.1,
+            stride,
+        }
+    })
+}
+
+fn sums(gpu: &Gpu, cast: &Cast, view: &View, level: usize, pose: &Se3, term: &DepthTerm) -> DepthSums {
+    let compared = Compared { view, level, model: &cast.image, world_from_model: cast.pose };
+    let mut evaluator = Evaluator::new(&gpu.device);
+    let (depth, colour) = evaluator.evaluate(&compared, pose, Some(term), [None, None]).expect("the device answers");
+    assert_eq!(colour, [None; 2]);
+    depth.expect("it was asked for")
+}
+
 fn model(cast: &Cast, gpu: &Gpu) -> reference::icp::Model {
+    let points = cast.points(gpu);
     reference::icp::Model {
-        points: to_reference(&cast.points(gpu)),
+        // The fourth number is one more than the observations.
+        observations: Image::from_fn(points.width(), points.height(), |x, y| {
+            (points[(x, y)][3] as u16).saturating_sub(1)
+        }),
+        points: to_reference(&points),
         normals: to_reference(&cast.normals(gpu)),
         camera: cast.camera,
         world_from_camera: cast.pose,
     }
+}
+
+/// All sums in one list.
+fn numbers(sums: &DepthSums) -> Vec<f64> {
+    let DepthSums { hessian, gradient, cost, weights, apart, squares, count, valid, in_front, behind, unseen } = sums;
+    let mut numbers = [hessian.as_flattened(), gradient].concat();
+    numbers.extend([cost, weights, apart, squares, unseen]);
+    numbers.extend([count, valid, in_front, behind].map(|n| f64::from(*n)));
+    numbers
 }
 
 /// How far single precision may take the sums away from the reference's.
@@ -187,50 +228,71 @@ fn icp_slack(
     depth: &Image<f32>,
     camera: &Intrinsics,
     guess: &Se3,
-    max_distance_m: f64,
-) -> NormalEquations {
-    // A pixel's share is known up to positions' rounding of about 2e-6 m, and sums of up to 1024 in a row lose up to
-    // 6e-8 at each addition: a share of 1e-5 in all, more than ever happens.
-    const SHARE: f64 = 1e-5;
+    term: &DepthTerm,
+) -> Slack {
+    // Positions of some metres are known up to a few roundings of 2.4e-7 m.
+    const POSITION_M: f64 = 2e-6;
+    // A place in the model's image, of up to 100 pixels' focal length, half a metre away or more, is known up to this.
+    const PIXEL: f64 = 1e-3;
+    // Where rounding decides which pixel of the model is the nearest, whether it is near enough, or on which side of the
+    // surface a point lies, the reference is asked for what would come of either.
+    let shifted: Vec<reference::icp::Model> = [(-PIXEL, -PIXEL), (PIXEL, -PIXEL), (-PIXEL, PIXEL), (PIXEL, PIXEL)]
+        .into_iter()
+        .map(|(x, y)| {
+            let mut model = model.clone();
+            (model.camera.cx, model.camera.cy) = (model.camera.cx + x, model.camera.cy + y);
+            model
+        })
+        .collect();
+    let limits = [-1e-5, 1e-5].map(|m: f32| DepthTerm {
+        max_distance_m: term.max_distance_m + m,
+        max_plane_distance_m: (term.max_plane_distance_m + m).max(0.0),
+        ..*term
+    });
     let pivot = model.world_from_camera.translation;
-    let mut slack = NormalEquations { hessian: [[1e-6; 6]; 6], gradient: [1e-6; 6], squares: 1e-6, count: 0, valid: 0 };
-    for y in 0..depth.height() {
-        for x in 0..depth.width() {
-            let Some((world, pixel)) = reference::icp::project_into_model(model, depth, camera, guess, x, y) else {
+    let mut slack = Slack::new(numbers(&DepthSums::default()).len());
+    for y in (0..depth.height()).step_by(term.stride as usize) {
+        for x in (0..depth.width()).step_by(term.stride as usize) {
+            let z = depth[(x, y)];
+            if z <= 0.0 {
                 continue;
-            };
-            // Where rounding decides which pixel of the model is the nearest, or whether it is near enough, all of the
-            // largest share that a pixel can have may come or go.
-            let near_integer = |v: f64| (v - v.round()).abs() < 1e-3;
-            let on_border = near_integer(pixel.x + 0.5)
-                || near_integer(pixel.y + 0.5)
-                || model
-                    .points
-                    .get((pixel.x + 0.5) as u32, (pixel.y + 0.5) as u32)
-                    .copied()
-                    .flatten()
-                    .is_some_and(|point| (point.distance(world) - max_distance_m).abs() < 1e-5);
-            let arm = world.distance(pivot);
-            let largest = [1.0, 1.0, 1.0, arm, arm, arm];
-            let residual = if on_border {
-                slack.count += 1;
-                max_distance_m
-            } else {
-                match reference::icp::pair(model, world, pixel, max_distance_m) {
-                    Some(pair) => pair.residual([0.0; 6], pivot).abs(),
-                    None => continue,
-                }
-            };
-            let share = if on_border { 1.0 } else { SHARE };
-            // The residual itself is uncertain by the roundings of the positions.
-            let residual_error = if on_border { residual } else { 2e-6 };
-            for i in 0..6 {
-                for j in 0..6 {
-                    slack.hessian[i][j] += share * largest[i] * largest[j];
-                }
-                slack.gradient[i] += largest[i] * (share * residual + residual_error);
             }
-            slack.squares += share * residual * residual + 2.0 * residual * residual_error;
+            let pixel_camera = Intrinsics {
+                cx: camera.cx - f64::from(x),
+                cy: camera.cy - f64::from(y),
+                width: 1,
+                height: 1,
+                ..*camera
+            };
+            let alone = |model: &reference::icp::Model, z: f32, term: &DepthTerm| {
+                let pixel = Image::filled(1, 1, z);
+                reference::icp::icp(model, &pixel, &pixel_camera, guess, &DepthTerm { stride: 1, ..*term })
+            };
+            let sums = alone(model, z, term);
+            let perhaps = shifted.iter().flat_map(|model| {
+                let near_and_far = [z - POSITION_M as f32, z + POSITION_M as f32];
+                near_and_far.into_iter().flat_map(move |z| limits.map(|term| numbers(&alone(model, z, &term))))
+            });
+            slack.may_be(&numbers(&sums), perhaps);
+
+            // The residual and its derivatives are uncertain by the roundings of the positions.
+            let world = guess.transform_point(camera.unproject(DVec2::new(x.into(), y.into()), z.into()));
+            let arm = world.distance(pivot);
+            let size = [1.0, 1.0, 1.0, arm, arm, arm].map(|size: f64| size * sums.weights.sqrt());
+            let residual = sums.squares.sqrt();
+            let mut rounding: Vec<f64> = size
+                .iter()
+                .flat_map(|a| size.map(|b| (Slack::SHARE + POSITION_M / residual.max(term.huber_m.into())) * a * b))
+                .collect();
+            rounding.extend(size.map(|size| size * sums.weights.sqrt() * (Slack::SHARE * residual + POSITION_M)));
+            rounding.extend([
+                Slack::SHARE * sums.cost + sums.weights * residual * POSITION_M,
+                Slack::SHARE * sums.weights,
+                Slack::SHARE * sums.apart,
+                Slack::SHARE * sums.squares + 2.0 * residual * POSITION_M,
+                Slack::SHARE * sums.unseen,
+            ]);
+            slack.add(&rounding);
         }
     }
     slack
@@ -312,13 +374,13 @@ fn a_map_seen_from_behind_or_from_where_it_is_not_shows_nothing() {
 }
 
 /// The step that a Gauss-Newton iteration takes.
-fn step(sums: &NormalEquations) -> [f64; 6] {
+fn step(sums: &DepthSums) -> [f64; 6] {
     let hessian = Matrix6::from_fn(|i, j| sums.hessian[i][j]);
     let gradient = Vector6::from_fn(|i, _| sums.gradient[i]);
     (-hessian.cholesky().expect("the room fixes all six directions").solve(&gradient)).into()
 }
 
-/// A motion about a pivot, as `NormalEquations` means it.
+/// A motion about a pivot, as `DepthSums` means it.
 fn about(pivot: DVec3, twist: [f64; 6]) -> Se3 {
     let to_pivot = Se3 { translation: pivot, ..Se3::IDENTITY };
     to_pivot * Se3::exp(twist) * to_pivot.inverse()
@@ -332,10 +394,14 @@ fn icp_stays_at_the_truth_and_comes_back_to_it() {
     let mut cast = cast(gpu, &Scene::room(), &common::poses(), camera, truth);
     // The depth of the pose that the model was cast from.
     cast.fusion.allocate(gpu, &common::frame(Scene::room().depth(&camera, &truth), None), &truth);
-    let mut icp = Icp::new(&gpu.device);
-    let mut evaluate =
-        |pose: &Se3, level| icp.evaluate(&cast.fusion.view, level, pose, &cast.image, &truth, 0.1).unwrap();
+    for huber_m in [f32::INFINITY, 0.01] {
+        comes_back(gpu, &cast, &DepthTerm { huber_m, ..DepthTerm::plain(0.1) });
+    }
+}
 
+fn comes_back(gpu: &Gpu, cast: &Cast, term: &DepthTerm) {
+    let truth = cast.pose;
+    let evaluate = |pose: &Se3, level| sums(gpu, cast, &cast.fusion.view, level, pose, term);
     let sums = evaluate(&truth, 0);
     assert!(sums.count * 10 > sums.valid * 8, "{sums:?}");
     assert!((sums.squares / f64::from(sums.count)).sqrt() < 0.2 * f64::from(VOXEL_M), "{sums:?}");
@@ -359,7 +425,7 @@ fn icp_stays_at_the_truth_and_comes_back_to_it() {
 }
 
 #[test]
-fn the_gradient_of_icp_is_the_slope_of_its_squares() {
+fn the_gradient_of_icp_is_the_slope_of_its_cost() {
     let Some(gpu) = common::gpu() else { return };
     // A wall: moving along it changes neither partners' planes nor who is a pair, so that the sum of squares is smooth.
     let scene = Scene(vec![Shape::Plane { normal: DVec3::new(0.1, -0.15, 1.0).normalize(), distance: 1.6 }]);
@@ -376,12 +442,17 @@ fn the_gradient_of_icp_is_the_slope_of_its_squares() {
             },
         );
     cast.fusion.allocate(gpu, &common::frame(part, None), &Se3::IDENTITY);
-    let mut icp = Icp::new(&gpu.device);
     let pose = Se3::exp([0.004, 0.002, 0.02, 0.006, -0.004, 0.003]);
-    let mut evaluate = |twist: [f64; 6]| {
-        let pose = about(DVec3::ZERO, twist) * pose;
-        icp.evaluate(&cast.fusion.view, 0, &pose, &cast.image, &Se3::IDENTITY, 0.2).unwrap()
-    };
+    // Some residuals below Huber's limit, some above.
+    for huber_m in [f32::INFINITY, 0.02] {
+        let term = DepthTerm { huber_m, ..DepthTerm::plain(0.2) };
+        let evaluate =
+            |twist: [f64; 6]| sums(gpu, &cast, &cast.fusion.view, 0, &(about(DVec3::ZERO, twist) * pose), &term);
+        is_its_slope(evaluate);
+    }
+}
+
+fn is_its_slope(evaluate: impl Fn([f64; 6]) -> DepthSums) {
     let sums = evaluate([0.0; 6]);
     assert_eq!(sums.count, 60 * 45);
     let largest = sums.gradient.iter().fold(0.0_f64, |m, g| m.max(g.abs()));
@@ -389,17 +460,11 @@ fn the_gradient_of_icp_is_the_slope_of_its_squares() {
         let h = 2e-3;
         let mut twist = [0.0; 6];
         twist[i] = h;
-        let ahead = evaluate(twist).squares;
+        let ahead = evaluate(twist).cost;
         twist[i] = -h;
-        let slope = (ahead - evaluate(twist).squares) / (2.0 * h);
-        // Of a sum of squares, half the slope is Jᵀr. The model's points and normals waver by a small part of a voxel from
-        // pixel to pixel, and pairs change.
-        assert!(
-            (0.5 * slope - sums.gradient[i]).abs() < 0.02 * largest,
-            "{i}: {} but {}",
-            0.5 * slope,
-            sums.gradient[i]
-        );
+        let slope = (ahead - evaluate(twist).cost) / (2.0 * h);
+        // The model's points and normals waver by a small part of a voxel from pixel to pixel, and pairs change.
+        assert!((slope - sums.gradient[i]).abs() < 0.02 * largest, "{i}: {slope} but {}", sums.gradient[i]);
     }
 }
 
@@ -410,8 +475,7 @@ fn two_casts_and_two_sums_give_the_same_bytes() {
     let pose = common::poses()[1];
     let run = || {
         let cast = cast(gpu, &Scene::room(), &common::poses(), camera, pose);
-        let sums =
-            |level| Icp::new(&gpu.device).evaluate(&cast.fusion.view, level, &pose, &cast.image, &pose, 0.1).unwrap();
+        let sums = |level| sums(gpu, &cast, &cast.fusion.view, level, &pose, &DepthTerm::plain(0.1));
         (cast.image.read_ranges(&gpu.device).unwrap(), cast.points(gpu), cast.normals(gpu), [0, 1, 2].map(sums))
     };
     assert_eq!(run(), run());

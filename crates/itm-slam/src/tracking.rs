@@ -16,7 +16,7 @@ use itm_gpu::icp::DepthTerm;
 use itm_gpu::photometric::PhotometricTerm;
 use itm_gpu::{DepthSums, PhotometricSums};
 
-pub use equations::{NormalEquations, Noise};
+pub use equations::{Noise, NormalEquations};
 pub use motion::Motion;
 pub use optimise::{Outcome, optimise};
 pub use plan::{Age, LevelPlan, Part, Plan};

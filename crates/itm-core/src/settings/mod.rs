@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 pub use tracker::{
-    CompositePolicy, CompositeSettings, DepthWeight, ExtendedSettings, FileSettings, IcpSettings, ImuSettings, OnFailure,
-    RgbSettings, TrackerKind, TrackerSettings, VerdictSettings,
+    CompositePolicy, CompositeSettings, DepthWeight, ExtendedSettings, FileSettings, IcpSettings, ImuSettings,
+    OnFailure, RgbSettings, TrackerKind, TrackerSettings, VerdictSettings,
 };
 
 /// All settings of a run.
@@ -62,7 +62,14 @@ pub struct ViewSettings {
 
 impl Default for ViewSettings {
     fn default() -> Self {
-        Self { min_depth_m: 0.2, max_depth_m: 3.0, bilateral: BilateralSettings::default(), colour: true, colour_times: true, colour_delay_s: 0.0 }
+        Self {
+            min_depth_m: 0.2,
+            max_depth_m: 3.0,
+            bilateral: BilateralSettings::default(),
+            colour: true,
+            colour_times: true,
+            colour_delay_s: 0.0,
+        }
     }
 }
 
@@ -255,12 +262,7 @@ impl Settings {
     }
 }
 
-fn check(
-    ok: bool,
-    key: &'static str,
-    expected: &'static str,
-    found: impl ToString,
-) -> Result<(), SettingsError> {
+fn check(ok: bool, key: &'static str, expected: &'static str, found: impl ToString) -> Result<(), SettingsError> {
     if ok { Ok(()) } else { Err(SettingsError::Value { key, expected, found: found.to_string() }) }
 }
 

@@ -426,10 +426,30 @@ impl TrackerSettings {
             "true where neither use_colour nor use_map_colour is",
             extended.use_depth,
         )?;
-        check(in_range(extended.huber_share, 0.01, 1.0), "tracker.extended.huber_share", "between 0.01 and 1", extended.huber_share)?;
-        check(in_range(extended.tukey_cutoff, 0.1, 1e3), "tracker.extended.tukey_cutoff", "between 0.1 and 1000", extended.tukey_cutoff)?;
-        check(extended.finest_colour_level <= 7, "tracker.extended.finest_colour_level", "at most 7", extended.finest_colour_level)?;
-        check(extended.full_confidence >= 1, "tracker.extended.full_confidence", "at least 1", extended.full_confidence)?;
+        check(
+            in_range(extended.huber_share, 0.01, 1.0),
+            "tracker.extended.huber_share",
+            "between 0.01 and 1",
+            extended.huber_share,
+        )?;
+        check(
+            in_range(extended.tukey_cutoff, 0.1, 1e3),
+            "tracker.extended.tukey_cutoff",
+            "between 0.1 and 1000",
+            extended.tukey_cutoff,
+        )?;
+        check(
+            extended.finest_colour_level <= 7,
+            "tracker.extended.finest_colour_level",
+            "at most 7",
+            extended.finest_colour_level,
+        )?;
+        check(
+            extended.full_confidence >= 1,
+            "tracker.extended.full_confidence",
+            "at least 1",
+            extended.full_confidence,
+        )?;
         let length = imu.camera_from_imu.iter().map(|v| v * v).sum::<f64>().sqrt();
         check((length - 1.0).abs() < 0.01, "tracker.imu.camera_from_imu", "a quaternion of unit length", length)?;
         check(

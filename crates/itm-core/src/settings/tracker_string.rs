@@ -156,7 +156,9 @@ impl TrackerSettings {
         for (key, value) in pairs.into_iter().filter(|(key, _)| *key != "type") {
             let Some(found) = own_keys.iter().chain(further_keys).find(|k| k.name == key) else {
                 let mut valid: Vec<&str> = own_keys.iter().map(|k| k.name).collect();
-                valid.extend(further_keys.iter().map(|k| k.name).filter(|name| !own_keys.iter().any(|k| k.name == *name)));
+                valid.extend(
+                    further_keys.iter().map(|k| k.name).filter(|name| !own_keys.iter().any(|k| k.name == *name)),
+                );
                 return Err(error(match &valid[..] {
                     [] => format!("'{name}' has no keys, so '{key}' cannot be set"),
                     valid => format!("'{name}' has no key '{key}'; its keys are {}", valid.join(", ")),
@@ -168,7 +170,9 @@ impl TrackerSettings {
         let trackers: Vec<String> = parts.filter(|p| !p.is_empty()).map(String::from).collect();
         if !trackers.is_empty() {
             if kind != TrackerKind::Composite {
-                return Err(error(format!("'{name}' has no trackers of its own; those of a composite follow after ';'")));
+                return Err(error(format!(
+                    "'{name}' has no trackers of its own; those of a composite follow after ';'"
+                )));
             }
             settings.composite.trackers = trackers;
         }
@@ -208,8 +212,9 @@ mod tests {
 
     #[test]
     fn the_references_strings_are_understood() {
-        let icp = set("type=icp,levels=rrrbb,minstep=1e-3,outlierC=0.01,outlierF=0.0025,numiterC=10,numiterF=2,failureDec=5")
-            .unwrap();
+        let icp =
+            set("type=icp,levels=rrrbb,minstep=1e-3,outlierC=0.01,outlierF=0.0025,numiterC=10,numiterF=2,failureDec=5")
+                .unwrap();
         assert_eq!(icp.kind, TrackerKind::Icp);
         assert_eq!((icp.icp.max_distance_coarse_m, icp.icp.max_distance_fine_m), (0.1, 0.05));
         assert_eq!((icp.icp.max_steps_coarse, icp.icp.max_steps_fine, icp.icp.min_step), (10, 2, 1e-3));
@@ -268,7 +273,8 @@ mod tests {
         assert_eq!(settings.tracker.kind, TrackerKind::Icp);
         assert_eq!((settings.tracker.icp.levels.as_str(), settings.tracker.icp.max_steps_fine), ("rb", 9));
         let settings =
-            Settings::resolve(None, &["tracker.rgb.levels=bb".into(), "tracker=type=extended,levels=bb".into()]).unwrap();
+            Settings::resolve(None, &["tracker.rgb.levels=bb".into(), "tracker=type=extended,levels=bb".into()])
+                .unwrap();
         assert_eq!((settings.tracker.rgb.levels.as_str(), settings.tracker.extended.levels.as_str()), ("bb", "bb"));
         let error = Settings::resolve(Some(("s.toml", "tracker = \"type=icp,x=1\"\n")), &[]).unwrap_err().to_string();
         assert!(error.contains("s.toml") && error.contains("no key 'x'"), "{error}");

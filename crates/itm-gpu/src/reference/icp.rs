@@ -14,7 +14,7 @@ pub struct Model {
     pub points: Image<Option<DVec3>>,
     /// World frame, unit length.
     pub normals: Image<Option<DVec3>>,
-    /// How often each point was observed.
+    /// How often each point was observed, at least once.
     pub observations: Image<u16>,
     /// Camera of both images.
     pub camera: Intrinsics,
@@ -91,15 +91,15 @@ pub fn partner(model: &Model, measured: DVec3, pixel: DVec2, term: &DepthTerm) -
     let at = (nearest.x as u32, nearest.y as u32);
     let point_and_normal = || Some(((*model.points.get(at.0, at.1)?)?, (*model.normals.get(at.0, at.1)?)?));
     let Some((point, normal)) = point_and_normal() else { return Partner::Nothing };
+    let observations = f64::from(model.observations[at]);
+    if observations < term.least_confidence.into() {
+        return Partner::Nothing;
+    }
     let pair = Pair { measured, model: point, normal };
     let plane_distance = pair.residual([0.0; 6], model.world_from_camera.translation).abs();
     if measured.distance(point) > term.max_distance_m.into() || plane_distance > term.max_plane_distance_m.into() {
         let to_camera = model.world_from_camera.translation - measured;
         return if (measured - point).dot(to_camera) >= 0.0 { Partner::InFront } else { Partner::Behind };
-    }
-    let observations = f64::from(model.observations[at]);
-    if observations + 1.0 <= term.least_confidence.into() {
-        return Partner::Nothing;
     }
     let full = f64::from(term.full_confidence);
     Partner::Pair(pair, if full > 0.0 { (observations / full).min(1.0) } else { 1.0 })
@@ -137,17 +137,24 @@ pub fn icp(
                 continue;
             }
             let weight = weight_by_depth(term.weight, term.depth_range_m, depth[(x, y)].into());
-            sums.valid += u32::from(weight > 0.0);
+            if weight <= 0.0 {
+                continue;
+            }
+            sums.valid += 1;
             let projected = project_into_model(model, depth, camera, world_from_camera, x, y);
             let partner = projected.map_or(Partner::Nothing, |(world, pixel)| partner(model, world, pixel, term));
             let (pair, confidence) = match partner {
-                Partner::Pair(pair, confidence) if weight * confidence > 0.0 => (pair, confidence),
-                other => {
-                    match other {
-                        Partner::InFront => (sums.in_front, sums.apart) = (sums.in_front + 1, sums.apart + weight),
-                        Partner::Behind => (sums.behind, sums.apart) = (sums.behind + 1, sums.apart + weight),
-                        _ => sums.unseen += weight,
-                    }
+                Partner::Pair(pair, confidence) => (pair, confidence),
+                Partner::InFront => {
+                    (sums.in_front, sums.apart) = (sums.in_front + 1, sums.apart + weight);
+                    continue;
+                }
+                Partner::Behind => {
+                    (sums.behind, sums.apart) = (sums.behind + 1, sums.apart + weight);
+                    continue;
+                }
+                Partner::Nothing => {
+                    sums.unseen += weight;
                     continue;
                 }
             };

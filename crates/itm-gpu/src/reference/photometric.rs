@@ -98,6 +98,19 @@ fn list(
     })
 }
 
+/// A list halved along both axes: the mean of those points of a 2x2 group that lie within a distance of its first one,
+/// which is `reach` metres for each metre between that one and the camera. A side of one cell has no second one.
+pub fn halve(list: &Image<Option<ColouredPoint>>, reach: f64, camera: DVec3) -> Image<Option<ColouredPoint>> {
+    Image::from_fn(list.width().div_ceil(2), list.height().div_ceil(2), |x, y| {
+        let group = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| list.get(2 * x + i, 2 * y + j).copied().flatten());
+        let first = group.into_iter().flatten().next()?.position;
+        let near = |p: &ColouredPoint| p.position.distance(first) <= reach * first.distance(camera);
+        let points: Vec<_> = group.into_iter().flatten().filter(near).collect();
+        let mean = |of: fn(&ColouredPoint) -> DVec3| points.iter().map(of).sum::<DVec3>() / points.len() as f64;
+        Some(ColouredPoint { position: mean(|p| p.position), colour: mean(|p| p.colour) })
+    })
+}
+
 /// Derivatives of a point's expected less its seen value by translation, rotation (of the camera, about the pivot), gain and
 /// offset, where `along` is the image's derivative along x and y, and `value` what the gain multiplies.
 pub fn jacobian(

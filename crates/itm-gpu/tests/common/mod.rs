@@ -17,7 +17,8 @@ use itm_gpu::raycast::Raycast;
 use itm_gpu::view::{ViewOptions, ViewStage};
 use itm_gpu::visible::Visible;
 use itm_gpu::{BlockMap, Device, FrameRecord, MapLayout, RaycastImage, Recorder, View, reference};
-use proptest::test_runner::Config as ProptestConfig;
+use proptest::prop_assert;
+use proptest::test_runner::{Config as ProptestConfig, TestCaseError};
 
 /// The device, opened once for a test binary; `None` where the environment variable `ITM_SKIP_GPU_TESTS` is set.
 ///
@@ -86,6 +87,17 @@ impl Gpu {
     }
 }
 
+impl Gpu {
+    /// A view of a frame.
+    pub(crate) fn see(&self, calibration: &Calibration, frame: &Frame) -> View {
+        let mut view = View::new(&self.device, calibration, &VIEW_OPTIONS);
+        let mut recorder = Recorder::new(&self.device);
+        self.view.record(&mut recorder, &mut view, frame, &VIEW_OPTIONS).expect("the sizes are right");
+        let _untimed = recorder.submit();
+        view
+    }
+}
+
 /// [`device`] with the stages.
 pub(crate) fn gpu() -> Option<&'static Gpu> {
     static GPU: OnceLock<Gpu> = OnceLock::new();
@@ -96,6 +108,11 @@ pub(crate) fn gpu() -> Option<&'static Gpu> {
 pub(crate) fn camera(width: u32, height: u32) -> Intrinsics {
     let focal = 0.87 * f64::from(width.max(height));
     Intrinsics::new(width, height, focal, focal * 1.01, f64::from(width) * 0.49, f64::from(height) * 0.52)
+}
+
+/// One camera for depth, and for colour if any.
+pub(crate) fn one_camera(camera: Intrinsics) -> Calibration {
+    Calibration::registered(camera, DepthConversion::MILLIMETRES)
 }
 
 /// A frame of depth in metres, with colour if any.
@@ -193,6 +210,22 @@ impl Scene {
         })
     }
 
+    /// What a colour camera sees of surfaces painted smoothly, as a function of the place in the world; no colour where a ray
+    /// meets nothing.
+    pub(crate) fn colour(&self, camera: &Intrinsics, world_from_camera: &Se3) -> ColourImage {
+        let depth = self.depth(camera, world_from_camera);
+        ColourImage::from_fn(camera.width, camera.height, |x, y| {
+            let z = f64::from(depth[(x, y)]);
+            if z == 0.0 {
+                return [0; 4];
+            }
+            let seen = camera.unproject(DVec2::new(x.into(), y.into()), z);
+            let [r, g, b] =
+                paint(world_from_camera.transform_point(seen)).to_array().map(|v| (255.0 * v).round() as u8);
+            [r, g, b, 255]
+        })
+    }
+
     /// The shape nearest to a point.
     fn nearest(&self, point: DVec3) -> &Shape {
         self.0.iter().min_by(|a, b| a.distance(point).total_cmp(&b.distance(point))).expect("a scene has shapes")
@@ -207,6 +240,12 @@ impl Scene {
     pub(crate) fn normal(&self, point: DVec3, seen_from: DVec3) -> DVec3 {
         self.nearest(point).normal(point, seen_from)
     }
+}
+
+/// Colour, 0 to 1, of a surface at a place in the world: waves of about 0.4 m.
+pub(crate) fn paint(place: DVec3) -> DVec3 {
+    let wave = |x: f64, y: f64, z: f64| 0.5 + 0.4 * (place.dot(DVec3::new(x, y, z))).sin();
+    DVec3::new(wave(15.0, 5.0, -8.0), wave(-5.0, 16.0, 5.0), wave(7.0, -7.0, 12.0))
 }
 
 /// A colour image without flat or straight parts.
@@ -230,6 +269,10 @@ pub(crate) const OPTIONS: IntegrateOptions =
 /// Depth that the tests look at, in metres.
 pub(crate) const RANGE_M: [f32; 2] = [0.2, 4.0];
 
+/// What views hold: three levels of each pyramid.
+pub(crate) const VIEW_OPTIONS: ViewOptions =
+    ViewOptions { depth_range_m: RANGE_M, bilateral_passes: 0, levels: 3, vertices: false, colour_levels: 3 };
+
 /// A map on the device and what fills it.
 #[derive(Debug)]
 pub(crate) struct Fusion {
@@ -243,8 +286,7 @@ pub(crate) struct Fusion {
 impl Fusion {
     /// An empty map with voxels of a size, a truncation band of four voxels, and so many blocks.
     pub(crate) fn new(gpu: &Gpu, camera: Intrinsics, voxel_size_m: f32, colour: bool, blocks: u32) -> Self {
-        let calibration = Calibration::registered(camera, DepthConversion::MILLIMETRES);
-        Self::with_calibration(gpu, calibration, voxel_size_m, colour, blocks)
+        Self::with_calibration(gpu, one_camera(camera), voxel_size_m, colour, blocks)
     }
 
     /// The same, with a calibration.
@@ -255,13 +297,7 @@ impl Fusion {
         colour: bool,
         blocks: u32,
     ) -> Self {
-        let view_options = ViewOptions {
-            depth_range_m: RANGE_M,
-            bilateral_passes: 0,
-            levels: 3,
-            vertices: false,
-            colour_levels: 1,
-        };
+        let view_options = VIEW_OPTIONS;
         let layout = MapLayout { voxel_size_m, truncation_m: 4.0 * voxel_size_m, colour };
         Self {
             map: BlockMap::new(&gpu.device, layout, blocks).expect("a small map fits"),
@@ -362,4 +398,47 @@ pub(crate) fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     assert!(!values.is_empty(), "no values");
     values.sort_by(f64::total_cmp);
     values[((values.len() - 1) as f64 * share) as usize]
+}
+
+/// How far single precision may take a list of sums away from the reference's.
+#[derive(Clone, Debug)]
+pub(crate) struct Slack(Vec<f64>);
+
+impl Slack {
+    /// Of what is summed up, roundings of the summands and of up to 200 additions in a row (6e-8 each) lose no more.
+    pub(crate) const SHARE: f64 = 1e-5;
+
+    /// Sums of nothing, which are exact.
+    pub(crate) fn new(sums: usize) -> Self {
+        Self(vec![0.0; sums])
+    }
+
+    /// A summand is the expected one, or, where rounding decides, one of some others.
+    pub(crate) fn may_be(&mut self, expected: &[f64], others: impl Iterator<Item = Vec<f64>>) {
+        let mut most = vec![0.0_f64; self.0.len()];
+        for other in others {
+            for ((most, a), b) in most.iter_mut().zip(expected).zip(&other) {
+                *most = most.max((a - b).abs());
+            }
+        }
+        self.add(&most);
+    }
+
+    /// A summand is uncertain by so much; numbers left out at the end are exact.
+    pub(crate) fn add(&mut self, summand: &[f64]) {
+        for (slack, more) in self.0.iter_mut().zip(summand) {
+            *slack += more;
+        }
+    }
+
+    /// Checks sums, numbered as they stand in the list.
+    pub(crate) fn check(&self, found: &[f64], expected: &[f64]) -> Result<(), TestCaseError> {
+        for (i, ((found, expected), slack)) in found.iter().zip(expected).zip(&self.0).enumerate() {
+            prop_assert!(
+                (found - expected).abs() <= *slack,
+                "number {i}: {found} but {expected}, give or take {slack}"
+            );
+        }
+        Ok(())
+    }
 }

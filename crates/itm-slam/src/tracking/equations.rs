@@ -107,7 +107,8 @@ impl NormalEquations {
     }
 
     fn add_cost(&mut self, weight: f64, error: f64, compared: f64, unseen: f64, largest_error: f64) {
-        self.cost += weight * if compared > 0.0 { error / compared * (compared + unseen) } else { unseen * largest_error };
+        self.cost +=
+            weight * if compared > 0.0 { error / compared * (compared + unseen) } else { unseen * largest_error };
         self.cost_of_all += weight * (error + unseen * largest_error);
     }
 
@@ -183,5 +184,180 @@ impl NormalEquations {
             // No camera's exposure changes further within a frame; what seems so is no match at all.
             Exposure { gain: (old.gain + change[0]).clamp(0.3, 3.0), offset: (old.offset + change[1]).clamp(-0.5, 0.5) }
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use itm_core::Settings;
+    use nalgebra::{SMatrix, SVector};
+
+    use super::*;
+    use crate::tracking::Against;
+
+    /// Sums of the depth term over points on planes, about the origin.
+    fn planes(normals: &[[f64; 3]], weight: f64) -> DepthSums {
+        let mut sums = DepthSums::default();
+        for normal in normals.iter().map(|n| glam::DVec3::from_array(*n)) {
+            let (along, across) = normal.any_orthonormal_pair();
+            for i in 0..100 {
+                let (a, b) = (f64::from(i % 10) / 4.5 - 1.0, f64::from(i / 10) / 4.5 - 1.0);
+                let turn = (normal + a * along + b * across).cross(normal);
+                let j = [normal.x, normal.y, normal.z, turn.x, turn.y, turn.z];
+                for r in 0..6 {
+                    for c in 0..6 {
+                        sums.hessian[r][c] += weight * j[r] * j[c];
+                    }
+                }
+                sums.weights += weight;
+                sums.count += 1;
+            }
+        }
+        sums
+    }
+
+    fn plan() -> (Plan, Request) {
+        let settings = Settings::default();
+        let plan = Plan::icp(&settings, &settings.tracker.icp, "b");
+        let request = plan.levels[0].request;
+        (plan, request)
+    }
+
+    #[test]
+    fn a_plane_determines_three_directions_and_a_corner_all() {
+        let (plan, request) = plan();
+        let equations = |sums: DepthSums, noise: Noise| {
+            let evaluation = Evaluation { depth: Some(sums), ..Evaluation::default() };
+            NormalEquations::new(&evaluation, &request, &plan, &noise)
+        };
+        let noise = Noise::default();
+        let plane = equations(planes(&[[0.0, 0.0, 1.0]], 1.0), noise).information();
+        assert!(plane[..3].iter().all(|v| v.abs() < 1e-12), "{plane:?}");
+        // Motion along the normal moves each point by as much; turns about the middle of the 2 m wide plane move points by
+        // 0.64 m at the root of the mean square.
+        assert!(plane[3..5].iter().all(|v| (v - 0.407).abs() < 1e-3) && (plane[5] - 1.0).abs() < 1e-12, "{plane:?}");
+
+        let three = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let corner = equations(planes(&three, 1.0), noise).information();
+        assert!(corner.windows(2).all(|pair| pair[0] <= pair[1]));
+        // Each direction by one plane, or two, of three.
+        assert!(corner[0] > 0.2 && corner[5] < 1.0, "{corner:?}");
+        // Neither the number of pairs, their weights nor their noise is what it measures.
+        let other = equations(planes(&[three, three].concat(), 0.2), Noise { depth_m: 0.02, ..noise }).information();
+        assert!(corner.iter().zip(other).all(|(a, b)| (a - b).abs() < 1e-12), "{corner:?} {other:?}");
+
+        let step =
+            |min_information| equations(planes(&[[0.0, 0.0, 1.0]], 1.0), noise).step(Part::Both, 0.0, min_information);
+        assert_eq!(step(Some(0.1)).unwrap().1, 3);
+        assert_eq!(step(Some(0.5)).unwrap().1, 5);
+        assert_eq!(step(Some(2.0)), None, "nothing is left to move");
+    }
+
+    /// Sums of a colour term that is linear in its eight unknowns.
+    fn linear(seed: f64) -> PhotometricSums {
+        let mut sums = PhotometricSums { weights: 300.0, count: 300, valid: 300, ..PhotometricSums::default() };
+        for i in 0..300 {
+            let wave = |a: f64| (a * (f64::from(i) + seed)).sin();
+            let j = [1.1, 2.3, 3.7, 4.1, 5.3, 6.7].map(wave);
+            let (value, residual) = (0.5 + 0.4 * wave(7.9), 0.1 * wave(8.3) + 0.05 * wave(1.1) - 0.03);
+            let j = [j[0], j[1], j[2], j[3], j[4], j[5], value, 1.0];
+            for r in 0..8 {
+                for c in 0..8 {
+                    sums.hessian[r][c] += j[r] * j[c];
+                }
+                sums.gradient[r] += j[r] * residual;
+            }
+            sums.cost += 0.5 * residual * residual;
+        }
+        sums
+    }
+
+    #[test]
+    fn eliminating_exposures_leaves_the_step_that_all_unknowns_together_take() {
+        let settings = Settings::default();
+        let rgb = Plan::rgb(&settings, &settings.tracker.rgb);
+        let plan = Plan { estimate_exposure: true, colour_weight: 0.7, ..rgb };
+        let mut request = plan.levels[0].request;
+        request.colour = [request.colour[Against::Map as usize]; 2];
+        let noise = Noise { colour: [0.02, 0.05], ..Noise::default() };
+        let sums = [linear(0.0), linear(0.37)];
+        let evaluation = Evaluation { colour: sums.map(Some), ..Evaluation::default() };
+        let equations = NormalEquations::new(&evaluation, &request, &plan, &noise);
+        let (step, held) = equations.step(Part::Both, 0.0, None).unwrap();
+        assert_eq!(held, 0);
+
+        // The pose, then each term's gain and offset; that these change by less than their prior's deviations counts as one
+        // further measurement each, as much as colour counts.
+        let mut hessian = SMatrix::<f64, 10, 10>::zeros();
+        let mut gradient = SVector::<f64, 10>::zeros();
+        for (term, (sums, sigma)) in sums.iter().zip(noise.colour).enumerate() {
+            let place = |i: usize| if i < 6 { i } else { i + 2 * term };
+            for r in 0..8 {
+                for c in 0..8 {
+                    hessian[(place(r), place(c))] += 0.7 / (sigma * sigma) * sums.hessian[r][c];
+                }
+                gradient[place(r)] += 0.7 / (sigma * sigma) * sums.gradient[r];
+            }
+            for (i, deviation) in EXPOSURE_PRIOR.into_iter().enumerate() {
+                hessian[(place(6 + i), place(6 + i))] += 0.7 / (deviation * deviation);
+            }
+        }
+        let whole = -hessian.cholesky().unwrap().solve(&gradient);
+        assert!((step - whole.fixed_rows::<6>(0)).norm() < 1e-12, "{step} but {whole}");
+        let guess = Guess {
+            exposure: [Exposure { gain: 1.1, offset: 0.02 }, Exposure { gain: 0.9, offset: -0.01 }],
+            ..Guess::default()
+        };
+        for (term, (new, old)) in equations.exposures(&guess, &step).into_iter().zip(guess.exposure).enumerate() {
+            let change = [new.gain - old.gain, new.offset - old.offset];
+            let expected = [whole[6 + 2 * term], whole[7 + 2 * term]];
+            assert!(expected[1].abs() > 1e-3, "there is something to estimate");
+            assert!(change.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{change:?} but {expected:?}");
+        }
+
+        let without = Plan { estimate_exposure: false, ..plan };
+        let equations = NormalEquations::new(&evaluation, &request, &without, &noise);
+        assert_eq!(equations.exposures(&guess, &step), guess.exposure);
+        let pose_only = hessian.fixed_view::<6, 6>(0, 0).cholesky().unwrap().solve(&gradient.fixed_rows::<6>(0));
+        let (step, _) = equations.step(Part::Both, 0.0, None).unwrap();
+        assert!((step + pose_only).norm() < 1e-12);
+    }
+
+    #[test]
+    fn exposures_stay_within_what_a_camera_does() {
+        let settings = Settings::default();
+        let plan = Plan { estimate_exposure: true, ..Plan::rgb(&settings, &settings.tracker.rgb) };
+        let mut sums = linear(0.0);
+        (sums.gradient[6], sums.gradient[7]) = (-1e6, 1e6);
+        let evaluation = Evaluation { colour: [None, Some(sums)], ..Evaluation::default() };
+        let equations = NormalEquations::new(&evaluation, &plan.levels[0].request, &plan, &Noise::default());
+        let [previous, map] = equations.exposures(&Guess::default(), &Vector6::zeros());
+        assert_eq!(previous, Exposure::default());
+        assert_eq!(map, Exposure { gain: 3.0, offset: -0.5 });
+    }
+
+    #[test]
+    fn noise_is_what_residuals_show_within_bounds() {
+        let depth = |rms: f64, count: u32| {
+            Some(DepthSums { squares: rms * rms * f64::from(count), count, ..DepthSums::default() })
+        };
+        let colour = |rms: f64, count: u32| {
+            Some(PhotometricSums { squares: rms * rms * f64::from(count), count, ..PhotometricSums::default() })
+        };
+        let before = Noise { depth_m: 0.007, colour: [0.03, 0.06] };
+        let measured = |depth, first, second| before.measured(&Evaluation { depth, colour: [first, second] });
+        let close = |a: Noise, b: Noise| {
+            (a.depth_m - b.depth_m).abs() < 1e-12 && a.colour.iter().zip(b.colour).all(|(a, b)| (a - b).abs() < 1e-12)
+        };
+        let all = measured(depth(0.004, 1000), colour(0.02, 500), colour(0.05, 100));
+        assert!(close(all, Noise { depth_m: 0.004, colour: [0.02, 0.05] }), "{all:?}");
+        // Perfect data, and useless ones.
+        let perfect = measured(depth(0.0, 1000), colour(0.0, 500), colour(1e-4, 500));
+        assert!(close(perfect, Noise { depth_m: 2e-4, colour: [0.005; 2] }), "{perfect:?}");
+        let useless = measured(depth(1.0, 1000), colour(0.5, 500), colour(0.2, 500));
+        assert!(close(useless, Noise { depth_m: 0.03, colour: [0.1; 2] }), "{useless:?}");
+        // What is not there, or hardly, says nothing.
+        assert_eq!(measured(None, None, None), before);
+        assert_eq!(measured(depth(0.001, 99), colour(0.01, 0), colour(0.01, 99)), before);
     }
 }

@@ -161,3 +161,290 @@ fn moved(pose: &Se3, pivot: DVec3, step: &Vector6<f64>) -> Se3 {
     twist.copy_from_slice(step.as_slice());
     to_pivot * Se3::exp(twist) * to_pivot.inverse() * *pose
 }
+
+#[cfg(test)]
+mod tests {
+    use itm_core::{IcpSettings, Settings};
+    use itm_gpu::{DepthSums, PhotometricSums};
+    use nalgebra::SVector;
+
+    use super::*;
+    use crate::tracking::{Against, Exposure, Request};
+
+    /// Points on three orthogonal planes, each with its normal, and what is measured there: the residuals are exact, so the
+    /// truth is reached.
+    #[derive(Clone)]
+    struct Corner {
+        points: Vec<(DVec3, DVec3)>,
+        world_from_truth: Se3,
+        blind: bool,
+        /// How far measurements are off their planes, at most, in metres.
+        noise_m: f64,
+    }
+
+    impl Corner {
+        fn new(world_from_truth: Se3) -> Self {
+            let mut points = Vec::new();
+            for i in 0..20 {
+                for j in 0..20 {
+                    let (a, b) = (0.05 + f64::from(i) * 0.05, 0.05 + f64::from(j) * 0.05);
+                    points.push((DVec3::new(a, b, 0.0), DVec3::Z));
+                    points.push((DVec3::new(a, 0.0, b), DVec3::Y));
+                    points.push((DVec3::new(0.0, a, b), DVec3::X));
+                }
+            }
+            Self { points, world_from_truth, blind: false, noise_m: 0.0 }
+        }
+
+        /// The plane z = 0 alone.
+        fn plane() -> Self {
+            let mut plane = Self::new(Se3::IDENTITY);
+            plane.points.retain(|(_, normal)| *normal == DVec3::Z);
+            plane
+        }
+
+        fn noisy(mut self, noise_m: f64) -> Self {
+            self.noise_m = noise_m;
+            self
+        }
+    }
+
+    const PIVOT: DVec3 = DVec3::new(0.3, -0.2, 0.7);
+
+    impl Objective for Corner {
+        fn pivot(&self) -> DVec3 {
+            PIVOT
+        }
+
+        fn evaluate(&mut self, guess: &Guess, request: &Request) -> Result<Evaluation, itm_gpu::Error> {
+            let max_distance_m = f64::from(request.depth.expect("a depth term").max_distance_m);
+            let mut e = DepthSums { valid: self.points.len() as u32, ..DepthSums::default() };
+            for (i, (point, normal)) in self.points.iter().enumerate() {
+                let seen = self.world_from_truth.inverse().transform_point(*point);
+                let p = guess.world_from_camera.transform_point(seen);
+                let r = (p - *point).dot(*normal) + self.noise_m * (12.9898 * i as f64).sin();
+                if self.blind {
+                    e.unseen += 1.0;
+                    continue;
+                }
+                if r.abs() > max_distance_m {
+                    e.apart += 1.0;
+                    continue;
+                }
+                let turn = (p - PIVOT).cross(*normal);
+                let j = [normal.x, normal.y, normal.z, turn.x, turn.y, turn.z];
+                for a in 0..6 {
+                    e.gradient[a] += j[a] * r;
+                    for b in 0..6 {
+                        e.hessian[a][b] += j[a] * j[b];
+                    }
+                }
+                e.cost += 0.5 * r * r;
+                e.squares += r * r;
+                e.weights += 1.0;
+                e.count += 1;
+            }
+            Ok(Evaluation { depth: Some(e), ..Evaluation::default() })
+        }
+    }
+
+    fn plan(levels: &str) -> Plan {
+        let icp = IcpSettings {
+            max_steps_coarse: 20,
+            max_steps_fine: 20,
+            min_step: 1e-10,
+            max_distance_coarse_m: 0.5,
+            max_distance_fine_m: 0.5,
+            ..IcpSettings::default()
+        };
+        Plan { min_information: None, ..Plan::icp(&Settings::default(), &icp, levels) }
+    }
+
+    fn found(objective: &mut dyn Objective, start: Se3, plan: &Plan) -> Outcome {
+        optimise(objective, &[Guess::at(start)], plan, &Noise::default()).unwrap()
+    }
+
+    fn off(truth: &Se3, pose: &Se3) -> f64 {
+        (truth.inverse() * *pose).log().iter().fold(0.0, |most, v| v.abs().max(most))
+    }
+
+    #[test]
+    fn the_true_pose_is_found() {
+        let truth = Se3::exp([0.1, -0.05, 0.2, 0.1, 0.2, -0.15]);
+        let outcome = found(&mut Corner::new(truth), Se3::IDENTITY, &plan("bb"));
+        assert!(off(&truth, &outcome.guess.world_from_camera) < 1e-8, "{outcome:?}");
+        assert_eq!((outcome.start, outcome.held), (0, 0));
+        // The coarser level is enough: the finer one looks where it is, and perhaps once more.
+        assert!(outcome.evaluations[0] > 2 && (1..=2).contains(&outcome.evaluations[1]), "{:?}", outcome.evaluations);
+        assert_eq!(outcome.last.depth.unwrap().count, 1200);
+        assert!(outcome.equations.unwrap().cost < 1e-10);
+    }
+
+    #[test]
+    fn a_level_moves_only_what_its_letter_says() {
+        let truth = Se3::exp([0.02, -0.01, 0.03, 0.02, 0.01, -0.02]);
+        let end = |levels| found(&mut Corner::new(truth), Se3::IDENTITY, &plan(levels));
+        let turned = end("r").guess.world_from_camera;
+        assert!(turned.angle() > 1e-3);
+        assert!(turned.transform_point(PIVOT).abs_diff_eq(PIVOT, 1e-12), "a rotation leaves the pivot");
+        let shifted = end("t").guess.world_from_camera;
+        assert!(shifted.translation.length() > 1e-3 && shifted.angle() < 1e-12);
+        let nothing = end("nn");
+        assert_eq!(nothing.guess, Guess::at(Se3::IDENTITY));
+        assert_eq!((nothing.evaluations, nothing.last, nothing.equations), (vec![0, 0], Evaluation::default(), None));
+        let last_only = end("nb");
+        assert!(last_only.evaluations[0] == 0 && last_only.evaluations[1] > 2);
+        assert!(off(&truth, &last_only.guess.world_from_camera) < 1e-8);
+    }
+
+    #[test]
+    fn without_pairs_the_pose_stays() {
+        let start = Se3::exp([0.1, 0.2, 0.3, 0.0, 0.1, 0.0]);
+        let blind = Corner { blind: true, ..Corner::new(Se3::IDENTITY) };
+        // Too few of them are no better than none.
+        let mut few = Corner::new(Se3::IDENTITY);
+        few.points.truncate(99);
+        for mut objective in [blind, few] {
+            let outcome = found(&mut objective, start, &plan("rb"));
+            assert_eq!(outcome.guess, Guess::at(start));
+            assert_eq!(outcome.evaluations, [1, 1]);
+        }
+        let none = optimise(&mut Corner::new(start), &[], &plan("bb"), &Noise::default()).unwrap();
+        assert!(none.guess.world_from_camera.is_finite());
+    }
+
+    #[test]
+    fn a_single_plane_gives_no_pose_that_is_not_finite() {
+        for noise_m in [0.0, 0.005] {
+            let start = Se3::exp([0.0, 0.0, 0.01, 0.0, 0.0, 0.0]);
+            let outcome = found(&mut Corner::plane().noisy(noise_m), start, &plan("rb"));
+            assert!(outcome.guess.world_from_camera.is_finite());
+        }
+    }
+
+    #[test]
+    fn along_a_plane_the_start_is_held_and_across_it_the_pose_is_found() {
+        let start = Se3::exp([0.02, -0.03, 0.01, 0.0, 0.0, 0.1]);
+        let holding = Plan { min_information: Some(1e-3), ..plan("bb") };
+        let outcome = found(&mut Corner::plane(), start, &holding);
+        assert_eq!(outcome.held, 3, "two shifts and a turn are not determined");
+        let pose = outcome.guess.world_from_camera;
+        assert!(pose.translation.z.abs() < 1e-9, "{pose:?}");
+        let left = pose.inverse() * start;
+        // The directions come out of an eigenvalue decomposition.
+        assert!(left.translation.truncate().length() < 1e-12 && left.angle() < 1e-12, "{left:?}");
+    }
+
+    #[test]
+    fn noise_moves_a_pose_along_a_plane_unless_it_is_held() {
+        // Normals that waver, as a map's do, seem to say where along the plane the camera is.
+        let mut objective = Corner::plane().noisy(0.004);
+        for (i, (_, normal)) in objective.points.iter_mut().enumerate() {
+            let i = i as f64;
+            *normal = (*normal + 0.02 * DVec3::new((78.233 * i).sin(), (37.719 * i).sin(), 0.0)).normalize();
+        }
+        let start = Se3::exp([0.02, -0.03, 0.01, 0.0, 0.0, 0.0]);
+        let sideways = |min_information| {
+            let outcome = found(&mut objective.clone(), start, &Plan { min_information, ..plan("bb") });
+            let pose = outcome.guess.world_from_camera;
+            assert!(pose.translation.z.abs() < 2e-3, "across the plane: {pose:?}");
+            ((pose.translation - start.translation).truncate().length(), outcome.held)
+        };
+        let (free, held) = (sideways(None), sideways(Some(1e-3)));
+        assert!(free.0 > 5e-3 && free.1 == 0, "{free:?}");
+        // What is held is nearly, but not exactly, the motion along the plane.
+        assert!(held.0 < 5e-4 && held.1 == 3, "{held:?}");
+    }
+
+    #[test]
+    fn the_best_start_wins_and_the_first_among_equals() {
+        let truth = Se3::exp([0.1, 0.0, 0.0, 0.0, 0.1, 0.0]);
+        let best = |starts: &[Se3]| {
+            let guesses: Vec<Guess> = starts.iter().map(|pose| Guess::at(*pose)).collect();
+            // With noise, because at an exact fit costs are nothing but rounding.
+            optimise(&mut Corner::new(truth).noisy(0.003), &guesses, &plan("bb"), &Noise::default()).unwrap()
+        };
+        // Too far away from every plane to find a pair.
+        let far = Se3::exp([2.0, 2.0, 2.0, 0.0, 0.0, 0.0]);
+        let (near, also_near) = (Se3::IDENTITY, Se3::exp([0.0, 0.05, 0.0, 0.0, 0.0, 0.1]));
+        let alone = best(&[near]);
+        for (starts, wins) in [(vec![far, near], 1), (vec![near, far], 0), (vec![far, far, near], 2)] {
+            let outcome = best(&starts);
+            assert_eq!(outcome.start, wins);
+            assert_eq!(outcome.guess, alone.guess);
+            let looks = (starts.len() - 1) as u32;
+            assert_eq!(outcome.evaluations, [alone.evaluations[0] + looks, alone.evaluations[1]]);
+        }
+        for starts in [[near, also_near], [also_near, near], [far, far]] {
+            assert_eq!(best(&starts).start, 0);
+        }
+        assert_eq!(best(&[far, far]).guess, Guess::at(far));
+    }
+
+    /// Points with colours that change linearly with the place, seen by a camera with another exposure.
+    struct Coloured {
+        exposure: Exposure,
+    }
+
+    impl Objective for Coloured {
+        fn pivot(&self) -> DVec3 {
+            PIVOT
+        }
+
+        fn evaluate(&mut self, guess: &Guess, request: &Request) -> Result<Evaluation, itm_gpu::Error> {
+            let mut evaluation = Evaluation::default();
+            for ((sums, term), expected) in evaluation.colour.iter_mut().zip(request.colour).zip(guess.exposure) {
+                if term.is_none() {
+                    continue;
+                }
+                let mut s = PhotometricSums::default();
+                for i in 0..500 {
+                    let wave = |a: f64| (a * f64::from(i)).sin();
+                    let point = DVec3::new(wave(1.1), wave(2.3), wave(3.7));
+                    let (along, value) = (DVec3::new(wave(4.1), wave(5.3), wave(6.7)), 0.5 + 0.4 * wave(7.9));
+                    let moved = guess.world_from_camera.transform_point(point);
+                    let r = expected.gain * value + expected.offset
+                        - (self.exposure.gain * value + self.exposure.offset)
+                        + along.dot(moved - point);
+                    let turn = (moved - PIVOT).cross(along);
+                    let j = [along.x, along.y, along.z, turn.x, turn.y, turn.z, value, 1.0];
+                    let j = SVector::<f64, 8>::from(j);
+                    for a in 0..8 {
+                        s.gradient[a] += j[a] * r;
+                        for b in 0..8 {
+                            s.hessian[a][b] += j[a] * j[b];
+                        }
+                    }
+                    s.cost += 0.5 * r * r;
+                    s.squares += r * r;
+                    s.weights += 1.0;
+                    (s.count, s.valid) = (s.count + 1, s.valid + 1);
+                }
+                *sums = Some(s);
+            }
+            Ok(evaluation)
+        }
+    }
+
+    #[test]
+    fn pose_and_exposure_are_found_together() {
+        let exposure = Exposure { gain: 1.3, offset: -0.07 };
+        let start = Se3::exp([0.02, -0.01, 0.015, 0.02, 0.03, -0.01]);
+        let rgb = Plan::rgb(&Settings::default(), &Settings::default().tracker.rgb);
+        for estimate_exposure in [true, false] {
+            let plan =
+                Plan { estimate_exposure, min_information: None, min_step: 1e-10, min_decrease: 0.0, ..rgb.clone() };
+            let guess = found(&mut Coloured { exposure }, start, &plan).guess;
+            let [previous, map] = guess.exposure;
+            assert_eq!(previous, Exposure::default(), "nothing was compared with the frame before");
+            if estimate_exposure {
+                assert!(off(&Se3::IDENTITY, &guess.world_from_camera) < 1e-8, "{guess:?}");
+                assert!((map.gain - 1.3).abs() < 1e-8 && (map.offset + 0.07).abs() < 1e-8, "{map:?}");
+            } else {
+                assert_eq!(map, Exposure::default());
+                assert!(off(&Se3::IDENTITY, &guess.world_from_camera) > 1e-4, "what exposure does seems a motion");
+            }
+        }
+        assert_eq!(Against::Map as usize, 1);
+    }
+}

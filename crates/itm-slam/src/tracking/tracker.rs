@@ -111,8 +111,7 @@ impl Tracker {
                 let plan = self.plan(age).expect("every other kind has a plan");
                 let mut exposure = [Exposure::default(); 2];
                 exposure[super::Against::Map as usize] = self.map_exposure;
-                let guesses: Vec<Guess> =
-                    starts.iter().map(|p| Guess { world_from_camera: *p, exposure }).collect();
+                let guesses: Vec<Guess> = starts.iter().map(|p| Guess { world_from_camera: *p, exposure }).collect();
                 let outcome = optimise(objective, &guesses, &plan, &self.noise)?;
                 let tracked = self.judge(&plan, &outcome, starts, motion, frame);
                 if tracked.verdict == Verdict::Good {
