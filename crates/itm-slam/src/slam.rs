@@ -527,7 +527,8 @@ struct Needs {
 
 impl Needs {
     fn of(tracker: &Tracker) -> Self {
-        let mut needs = Self { levels: 1, lists: [None, None] };
+        // Enough for the verdict's evaluation.
+        let mut needs = Self { levels: 3, lists: [None, None] };
         for level in tracker.plans(Age::default()).iter().flat_map(|plan| &plan.levels) {
             needs.levels = needs.levels.max(level.request.level + 1);
             for (range, term) in needs.lists.iter_mut().zip(&level.request.colour) {
@@ -564,6 +565,14 @@ struct ModelObjective<'a> {
 }
 
 impl Objective for ModelObjective<'_> {
+    fn camera(&self) -> &Intrinsics {
+        self.view.level_camera(0)
+    }
+
+    fn levels(&self) -> usize {
+        self.view.levels()
+    }
+
     fn pivot(&self) -> glam::DVec3 {
         // As the shader sees it: in single precision.
         self.world_from_model.translation.as_vec3().as_dvec3()

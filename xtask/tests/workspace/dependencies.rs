@@ -10,6 +10,7 @@ use crate::{assert_none, root};
 /// Every crate of the workspace with its layer. A crate may depend on crates of lower layers only.
 const LAYERS: &[(&str, u32)] = &[
     ("itm-core", 0),
+    ("itm-assets", 0),
     ("itm-shaders", 0),
     ("itm-io", 1),
     ("itm-gpu", 1),

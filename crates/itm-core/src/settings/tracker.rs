@@ -185,6 +185,9 @@ pub struct ExtendedSettings {
     pub use_map_colour: bool,
     /// How much the colour terms count beside depth, each being measured in its own standard deviations.
     pub colour_weight: f64,
+    /// Where depth alone determines every direction of motion this well (in the measure of `tracker.min_information`), colour
+    /// counts a quarter; better, still less; 0 for colour that always counts alike.
+    pub enough_information: f64,
     /// Whether a gain and an offset between the images compared are estimated with the pose, as a camera's automatic
     /// exposure changes them.
     pub estimate_exposure: bool,
@@ -235,6 +238,7 @@ impl Default for ExtendedSettings {
             use_colour: false,
             use_map_colour: false,
             colour_weight: 0.3,
+            enough_information: 0.004,
             estimate_exposure: true,
             finest_colour_level: 1,
             max_steps_coarse: 10,
@@ -357,9 +361,10 @@ pub enum CompositePolicy {
 pub struct VerdictSettings {
     /// Whether the classifier decides; without it every finite pose from enough pairs is good.
     pub classify: bool,
-    /// A frame is good where the classifier's estimate of the chance that its pose is wrong is at most this.
+    /// A frame is good where the classifier's estimate of the chance that its pose is wrong is at most this; 0 for what was
+    /// found in training.
     pub good_below: f64,
-    /// A frame is lost where the estimate is more than this, and poor in between.
+    /// A frame is lost where the estimate is more than this, and poor in between; 0 for what was found in training.
     pub lost_above: f64,
     /// Frames with a good verdict in a row after a loss, from which on frames are fused again.
     pub frames_to_recover: u32,
@@ -369,7 +374,7 @@ pub struct VerdictSettings {
 
 impl Default for VerdictSettings {
     fn default() -> Self {
-        Self { classify: true, good_below: 0.5, lost_above: 0.9, frames_to_recover: 3, fuse_poor: false }
+        Self { classify: true, good_below: 0.0, lost_above: 0.0, frames_to_recover: 3, fuse_poor: false }
     }
 }
 
@@ -414,6 +419,7 @@ impl TrackerSettings {
             ("tracker.extended.min_step", extended.min_step),
             ("tracker.extended.max_rms_mm", extended.max_rms_mm),
             ("tracker.extended.colour_weight", extended.colour_weight),
+            ("tracker.extended.enough_information", extended.enough_information),
             ("tracker.extended.min_colour_gradient", extended.min_colour_gradient.into()),
             ("tracker.rgb.min_step", rgb.min_step),
             ("tracker.rgb.min_decrease", rgb.min_decrease),
@@ -465,9 +471,9 @@ impl TrackerSettings {
             verdict.good_below,
         )?;
         check(
-            (verdict.good_below..=1.0).contains(&verdict.lost_above),
+            (0.0..=1.0).contains(&verdict.lost_above) && (verdict.lost_above == 0.0 || verdict.lost_above >= verdict.good_below),
             "tracker.verdict.lost_above",
-            "between tracker.verdict.good_below and 1",
+            "0, or between tracker.verdict.good_below and 1",
             verdict.lost_above,
         )?;
         if self.kind == TrackerKind::Composite {

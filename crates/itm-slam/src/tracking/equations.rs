@@ -73,7 +73,14 @@ fn largest_depth_error(term: &DepthTerm) -> f64 {
 
 impl NormalEquations {
     /// The equations of an evaluation; each term is measured in its own standard deviations.
-    pub fn new(evaluation: &Evaluation, request: &Request, plan: &Plan, noise: &Noise) -> Self {
+    /// `colour_weight` is how much colour counts beside depth.
+    pub fn new(
+        evaluation: &Evaluation,
+        request: &Request,
+        plan: &Plan,
+        noise: &Noise,
+        colour_weight: f64,
+    ) -> Self {
         let mut equations = Self {
             hessian: Matrix6::zeros(),
             gradient: Vector6::zeros(),
@@ -87,7 +94,7 @@ impl NormalEquations {
         }
         for (index, colour) in evaluation.colour.iter().enumerate() {
             let Some(colour) = colour else { continue };
-            let weight = plan.colour_weight / noise.colour[index].powi(2);
+            let weight = colour_weight / noise.colour[index].powi(2);
             let largest = request.colour[index].map_or(0.0, |term| f64::from(term.cutoff).powi(2) / 6.0);
             equations.add_colour(index, colour, weight, (noise.colour[index], largest), plan.estimate_exposure);
             if evaluation.depth.is_none() {
@@ -137,6 +144,18 @@ impl NormalEquations {
         self.hessian -= cross * inverse * cross.transpose();
         self.gradient -= cross * inverse * of_exposure;
         self.exposures[index] = Some(ExposureEquations { inverse, cross, gradient: of_exposure });
+    }
+
+    /// How much colour counts beside depth at an evaluation: less, the better depth alone determines every direction. Colour
+    /// errs by more than its noise, where cameras are not quite in step or light depends on the view, and should decide only
+    /// what depth leaves open.
+    pub fn colour_weight(evaluation: &Evaluation, request: &Request, plan: &Plan, noise: &Noise) -> f64 {
+        let Some(enough) = plan.enough_information.filter(|_| evaluation.depth.is_some()) else {
+            return plan.colour_weight;
+        };
+        let of_depth = Evaluation { colour: [None; 2], ..*evaluation };
+        let information = Self::new(&of_depth, request, plan, noise, 0.0).information()[0].max(0.0);
+        plan.colour_weight / (1.0 + (information / enough).powi(2)).powi(2)
     }
 
     /// How well each direction of motion is determined, least first: eigenvalues of the Hessian for a pair's weight, with

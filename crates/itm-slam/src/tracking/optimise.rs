@@ -98,11 +98,10 @@ fn descend(
     }
     let mut guess = *start;
     let pivot = objective.pivot();
-    let mut evaluate = |guess: &Guess| {
-        let evaluation = objective.evaluate(guess, &request)?;
-        Ok::<_, itm_gpu::Error>((evaluation, NormalEquations::new(&evaluation, &request, plan, noise)))
-    };
-    let (mut evaluation, mut equations) = evaluate(&guess)?;
+    let mut evaluation = objective.evaluate(&guess, &request)?;
+    let colour_weight = NormalEquations::colour_weight(&evaluation, &request, plan, noise);
+    let equations_of = |e: &Evaluation| NormalEquations::new(e, &request, plan, noise, colour_weight);
+    let mut equations = equations_of(&evaluation);
     let mut evaluations = 1;
     let (mut damping, mut held) = (0.0, 0);
     for _ in 0..level.max_steps {
@@ -119,7 +118,8 @@ fn descend(
             guess = candidate;
             break;
         }
-        let (there, equations_there) = evaluate(&candidate)?;
+        let there = objective.evaluate(&candidate, &request)?;
+        let equations_there = equations_of(&there);
         evaluations += 1;
         if equations_there.cost <= equations.cost {
             let small = equations.cost - equations_there.cost < plan.min_decrease * equations.cost;

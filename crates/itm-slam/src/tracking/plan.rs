@@ -64,6 +64,8 @@ pub struct Plan {
     pub min_decrease: f64,
     /// How much colour counts beside depth.
     pub colour_weight: f64,
+    /// Information (see `tracker.min_information`) with which depth alone is enough, so that colour counts for less.
+    pub enough_information: Option<f64>,
     /// Whether exposures are estimated.
     pub estimate_exposure: bool,
     /// Colour differences of so many standard deviations no longer count.
@@ -108,6 +110,23 @@ fn failure(max_rms_mm: f64) -> Option<f64> {
 }
 
 impl Plan {
+    /// For equations of an evaluation that no optimisation follows.
+    pub(crate) fn of_check() -> Self {
+        Self {
+            levels: Vec::new(),
+            letters: 0,
+            min_step: 0.0,
+            min_decrease: 0.0,
+            colour_weight: 0.0,
+            enough_information: None,
+            estimate_exposure: false,
+            tukey_cutoff: f64::INFINITY,
+            min_information: None,
+            min_pairs: 0,
+            max_rms_m: None,
+        }
+    }
+
     /// Point-to-plane ICP, with levels of its own or the settings'.
     pub(crate) fn icp(settings: &Settings, icp: &IcpSettings, levels: &str) -> Self {
         let level = |((fine, level), letter): ((f32, usize), char)| {
@@ -125,6 +144,7 @@ impl Plan {
             min_step: icp.min_step,
             min_decrease: 0.0,
             colour_weight: 0.0,
+            enough_information: None,
             estimate_exposure: false,
             tukey_cutoff: f64::INFINITY,
             min_information: min_information(settings),
@@ -179,6 +199,7 @@ impl Plan {
             min_step: e.min_step,
             min_decrease: 0.0,
             colour_weight: e.colour_weight,
+            enough_information: (e.enough_information > 0.0).then_some(e.enough_information),
             estimate_exposure: e.estimate_exposure,
             tukey_cutoff: e.tukey_cutoff.into(),
             min_information: min_information(settings),
@@ -214,6 +235,7 @@ impl Plan {
             min_step: rgb.min_step,
             min_decrease: rgb.min_decrease,
             colour_weight: 1.0,
+            enough_information: None,
             estimate_exposure: false,
             tukey_cutoff: f64::INFINITY,
             min_information: min_information(settings),

@@ -6,7 +6,7 @@ use itm_core::{CompositePolicy, Frame, Se3, Settings, TrackerKind};
 use itm_io::trajectory::PoseFiles;
 
 use super::plan::{Age, Plan};
-use super::{Exposure, Guess, Motion, Noise, Objective, Outcome, Tracked, Verdict, optimise, verdict};
+use super::{Exposure, Guess, Motion, Noise, Objective, Tracked, Verdict, optimise, verdict};
 use crate::Error;
 
 /// A tracker, with what it has learnt of the sensor.
@@ -113,7 +113,17 @@ impl Tracker {
                 exposure[super::Against::Map as usize] = self.map_exposure;
                 let guesses: Vec<Guess> = starts.iter().map(|p| Guess { world_from_camera: *p, exposure }).collect();
                 let outcome = optimise(objective, &guesses, &plan, &self.noise)?;
-                let tracked = self.judge(&plan, &outcome, starts, motion, frame);
+                let level = verdict::check_level(objective.camera(), objective.levels());
+                let checked = objective.evaluate(&outcome.guess, &verdict::check(level))?;
+                let ended = verdict::Ended {
+                    plan: &plan,
+                    outcome: &outcome,
+                    checked: &checked,
+                    pixels: objective.camera().at_level(level as u32).pixels(),
+                    expected: motion.predicted(frame.timestamp).unwrap_or(held),
+                    held,
+                };
+                let tracked = verdict::judge(&self.settings.tracker.verdict, &ended);
                 if tracked.verdict == Verdict::Good {
                     self.noise = self.noise.measured(&outcome.last);
                     self.map_exposure = outcome.guess.exposure[super::Against::Map as usize];
@@ -186,9 +196,5 @@ impl Tracker {
         starts.push(last);
         starts.extend(further);
         starts
-    }
-
-    fn judge(&self, plan: &Plan, outcome: &Outcome, starts: &[Se3], motion: &Motion, frame: &Frame) -> Tracked {
-        verdict::judge(&self.settings.tracker.verdict, plan, outcome, starts, motion, frame)
     }
 }
