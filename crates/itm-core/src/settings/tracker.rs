@@ -235,7 +235,7 @@ impl Default for ExtendedSettings {
         Self {
             levels: "rbbb".into(),
             use_depth: true,
-            use_colour: false,
+            use_colour: true,
             use_map_colour: false,
             colour_weight: 0.3,
             enough_information: 0.004,
