@@ -16,7 +16,7 @@ use crate::timings::{Row, STAGES, median};
 
 /// Messages that the page shows.
 const MOST_MESSAGES: usize = 200;
-/// Frames that were not good that the page lists.
+/// Lines about frames that were not good.
 const MOST_NOT_GOOD: usize = 40;
 
 /// What the page shows.
@@ -118,7 +118,8 @@ impl Report<'_> {
         let s = self.summary;
         let mut tiles = vec![(format!("{:.1} %", s.posed_share * 100.0), "of the frames have a pose".to_string())];
         if s.poor + s.lost > 0 {
-            tiles.push((format!("{} · {}", grouped(s.poor), grouped(s.lost)), "frames poor · lost".into()));
+            let what = format!("frames not good: {} poor, {} lost", grouped(s.poor), grouped(s.lost));
+            tiles.push((grouped(s.poor + s.lost), what));
         }
         if let Some(e) = &s.evaluation {
             tiles.push((format!("{:.1} mm", e.ate.rmse * 1e3), "trajectory error (ATE, rmse)".into()));
@@ -330,25 +331,37 @@ impl Report<'_> {
 
     /// The frames that were not good, and why.
     fn not_good(&self) -> String {
-        let frames: Vec<(&Row, &str)> = self.rows.iter().filter_map(|row| Some((row, row.trouble()?))).collect();
-        if frames.is_empty() {
+        // Neighbours that are alike in everything share a line.
+        let mut groups: Vec<(&Row, &Row)> = Vec::new();
+        let mut before = None;
+        for (i, row) in self.rows.iter().enumerate().filter(|(_, row)| row.trouble().is_some()) {
+            let follows = i > 0 && before == Some(i - 1);
+            before = Some(i);
+            match groups.last_mut() {
+                Some((first, last)) if follows && first.status == row.status && first.reasons == row.reasons => {
+                    *last = row
+                }
+                _ => groups.push((row, row)),
+            }
+        }
+        if groups.is_empty() {
             return String::new();
         }
-        let row = |(row, trouble): &(&Row, &str)| {
-            let class = if row.verdict.is_some() { format!("verdict {trouble}") } else { "skipped".into() };
-            let mark = format!("<i class='mark {class}'></i>{}", trouble.replace('-', " "));
-            format!(
-                "<tr><th>frame {}</th><td class='verdict'>{mark}</td><td>{}</td></tr>",
-                row.frame,
-                escape(&row.why())
-            )
+        let line = |(row, last): &(&Row, &Row)| {
+            let class = row.verdict.map_or_else(|| "skipped".into(), |verdict| format!("verdict {verdict}"));
+            let mark = format!("<i class='mark {class}'></i>{}", row.status.replace('-', " "));
+            let frames = match (row.frame, last.frame) {
+                (first, last) if first == last => format!("frame {first}"),
+                (first, last) => format!("frames {first} to {last}"),
+            };
+            format!("<tr><th>{frames}</th><td class='verdict'>{mark}</td><td>{}</td></tr>", escape(&row.why()))
         };
-        let rows: String = frames.iter().take(MOST_NOT_GOOD).map(row).collect();
-        let more = match frames.len().saturating_sub(MOST_NOT_GOOD) {
+        let lines: String = groups.iter().take(MOST_NOT_GOOD).map(line).collect();
+        let more = match groups.len().saturating_sub(MOST_NOT_GOOD) {
             0 => String::new(),
-            more => format!("<p class='note'>and {} more, all in timings.csv</p>", grouped(more)),
+            more => format!("<p class='note'>and {} more lines; timings.csv has all frames</p>", grouped(more)),
         };
-        format!("<h3>Frames that were not good</h3><table class='frames'>{rows}</table>{more}")
+        format!("<h3>Frames that were not good</h3><table class='frames'>{lines}</table>{more}")
     }
 
     fn timings(&self) -> String {

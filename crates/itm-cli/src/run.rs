@@ -198,6 +198,10 @@ pub(crate) struct Summary {
     pub(crate) recording: String,
     pub(crate) format: String,
     pub(crate) calibration: String,
+    /// Frames of the whole recording.
+    pub(crate) recording_frames: usize,
+    pub(crate) has_colour: bool,
+    pub(crate) has_gyroscope: bool,
     pub(crate) device: String,
     /// `tracked` or `given`.
     pub(crate) poses: &'static str,
@@ -327,6 +331,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         recording: info.name.clone(),
         format: info.format.to_string(),
         calibration: info.calibration_source.clone(),
+        recording_frames: info.frames,
+        has_colour: info.has_colour,
+        has_gyroscope: info.has_gyroscope,
         device: device.name().to_string(),
         poses: if poses == Poses::Tracked { "tracked" } else { "given" },
         frames: ended.frames,
