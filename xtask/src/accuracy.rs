@@ -67,17 +67,19 @@ struct Difference {
 }
 
 /// Where things lie, and what was measured.
-struct Workplace {
+struct Workplace<'a> {
     itm: PathBuf,
     runs: PathBuf,
     quick: bool,
+    /// Names of the recordings that are run; all where there are none.
+    only: &'a [String],
     device: String,
     /// Rows by recording and differences, so that nothing is measured twice.
     measured: BTreeMap<(String, Vec<Difference>), Vec<String>>,
 }
 
 /// Builds the program, makes the synthetic recordings, runs everything, and writes the tables.
-pub(crate) fn accuracy(installing: Installing, data: Option<&Path>, quick: bool) -> Result<()> {
+pub(crate) fn accuracy(installing: Installing, data: Option<&Path>, quick: bool, only: &[String]) -> Result<()> {
     setup::adapter(installing)?;
     let folder = workspace_root().join("target/accuracy");
     let runs = folder.join("runs");
@@ -86,7 +88,7 @@ pub(crate) fn accuracy(installing: Installing, data: Option<&Path>, quick: bool)
     if runs.exists() {
         std::fs::remove_dir_all(&runs).with_context(|| format!("can't remove {}", runs.display()))?;
     }
-    let mut place = Workplace { itm, runs, quick, device: String::new(), measured: BTreeMap::new() };
+    let mut place = Workplace { itm, runs, quick, only, device: String::new(), measured: BTreeMap::new() };
 
     let mut recordings = place.synthetic(&folder)?;
     let data = data.map(Path::to_path_buf).or_else(|| std::env::var_os("ITM_TEST_DATA").map(PathBuf::from));
@@ -95,9 +97,12 @@ pub(crate) fn accuracy(installing: Installing, data: Option<&Path>, quick: bool)
         None => eprintln!("no real recordings: neither --data nor ITM_TEST_DATA names a folder"),
     }
 
+    if recordings.is_empty() {
+        bail!("there is no recording {}", only.join(", "));
+    }
     let tables = place.tables(&recordings)?;
     println!("{tables}");
-    if quick {
+    if quick || !only.is_empty() {
         return Ok(());
     }
     let page = workspace_root().join("docs/ACCURACY.md");
@@ -120,7 +125,11 @@ fn program() -> Result<PathBuf> {
     Ok(itm)
 }
 
-impl Workplace {
+impl Workplace<'_> {
+    fn is_asked_for(&self, name: &str) -> bool {
+        self.only.is_empty() || self.only.iter().any(|only| only == name)
+    }
+
     fn itm(&self) -> Command {
         let mut itm = Command::new(&self.itm);
         if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
@@ -132,6 +141,9 @@ impl Workplace {
     fn synthetic(&mut self, folder: &Path) -> Result<Vec<Recording>> {
         let mut recordings = Vec::new();
         for (name, arguments) in SYNTHETIC {
+            if !self.is_asked_for(name) {
+                continue;
+            }
             let out = folder.join(file_name(name));
             // Written last, so that a recording that was cut off is made again.
             let made = out.join("made_by.txt");
@@ -165,6 +177,9 @@ impl Workplace {
         let mut recordings = Vec::new();
         for folder in folders {
             let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            if !self.is_asked_for(&name) {
+                continue;
+            }
             match self.probe(name, folder.clone())? {
                 Ok(recording) => recordings.push(recording),
                 Err(reason) => eprintln!("left out: {} ({reason})", folder.display()),

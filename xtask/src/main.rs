@@ -81,6 +81,9 @@ struct AccuracyArguments {
     /// The first 60 frames of each recording only; the tables are printed, and docs/ACCURACY.md stays as it is
     #[arg(long)]
     quick: bool,
+    /// These recordings only, by their names in the tables; docs/ACCURACY.md stays as it is then
+    #[arg(long, value_name = "NAME")]
+    only: Vec<String>,
 }
 
 impl SetupArguments {
@@ -105,8 +108,8 @@ fn run() -> Result<()> {
         Task::Test(arguments) => checks::test(arguments.setup.installing(), arguments.keep_going),
         Task::Ci(arguments) => checks::ci(arguments.setup.installing(), arguments.keep_going),
         Task::Demo(arguments) => demo::demo(arguments.setup.installing(), arguments.frames, arguments.out.as_deref()),
-        Task::Accuracy(arguments) => {
-            accuracy::accuracy(arguments.setup.installing(), arguments.data.as_deref(), arguments.quick)
+        Task::Accuracy(AccuracyArguments { setup, data, quick, only }) => {
+            accuracy::accuracy(setup.installing(), data.as_deref(), quick, &only)
         }
     }
 }
