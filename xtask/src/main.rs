@@ -1,10 +1,11 @@
-//! The tasks of the workspace: `cargo xtask setup | test | ci | demo`.
+//! The tasks of the workspace: `cargo xtask setup | test | ci | demo | accuracy`.
 //!
 //! Plain Rust instead of scripts, and none of the workspace's own crates, so that it builds in seconds on a machine
 //! that has nothing but a Rust toolchain. The rules of the workspace that no compiler checks are tests of this package
 //! (`tests/workspace`).
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program, and what it prints is for people")]
 
+mod accuracy;
 mod checks;
 mod demo;
 mod distribution;
@@ -38,6 +39,8 @@ enum Task {
     Ci(CheckArguments),
     /// Make a synthetic recording, reconstruct it, and say how good the result is
     Demo(DemoArguments),
+    /// Measure every tracker and extension on synthetic and real recordings, and write docs/ACCURACY.md's tables
+    Accuracy(AccuracyArguments),
 }
 
 #[derive(Args)]
@@ -68,6 +71,21 @@ struct DemoArguments {
     out: Option<PathBuf>,
 }
 
+#[derive(Args)]
+struct AccuracyArguments {
+    #[command(flatten)]
+    setup: SetupArguments,
+    /// Folder of real recordings [default: what the environment variable ITM_TEST_DATA names; without it, none]
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// The first 60 frames of each recording only; the tables are printed, and docs/ACCURACY.md stays as it is
+    #[arg(long)]
+    quick: bool,
+    /// These recordings only, by their names in the tables; docs/ACCURACY.md stays as it is then
+    #[arg(long, value_name = "NAME")]
+    only: Vec<String>,
+}
+
 impl SetupArguments {
     fn installing(&self) -> Installing {
         if self.no_install { Installing::Forbidden } else { Installing::Allowed }
@@ -90,6 +108,9 @@ fn run() -> Result<()> {
         Task::Test(arguments) => checks::test(arguments.setup.installing(), arguments.keep_going),
         Task::Ci(arguments) => checks::ci(arguments.setup.installing(), arguments.keep_going),
         Task::Demo(arguments) => demo::demo(arguments.setup.installing(), arguments.frames, arguments.out.as_deref()),
+        Task::Accuracy(AccuracyArguments { setup, data, quick, only }) => {
+            accuracy::accuracy(setup.installing(), data.as_deref(), quick, &only)
+        }
     }
 }
 

@@ -30,7 +30,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    Run(run::Arguments),
+    Run(Box<run::Arguments>),
     Eval(eval::Arguments),
     Synth(synth::Arguments),
     Devices(devices::Arguments),

@@ -143,6 +143,8 @@ pub(crate) struct OverFrames<'a> {
     pub(crate) lines: &'a [Layer],
     /// Bands of frames behind them: class, first frame, number of frames (by their place, from 0).
     pub(crate) bands: &'a [(&'static str, usize, usize)],
+    /// A strip along the top, likewise.
+    pub(crate) strip: &'a [(&'static str, usize, usize)],
     /// Name of the y axis.
     pub(crate) name: &'a str,
     /// Top of the y axis; what is higher is cut off.
@@ -161,15 +163,19 @@ pub(crate) fn over_frames(plot: &OverFrames<'_>) -> String {
     let x = Axis { lo: first, hi: first + (frames.max(2) - 1) as f64, from: LEFT, to: WIDTH - RIGHT };
     let y = Axis { lo: 0.0, hi: plot.top, from: plot.height - BOTTOM, to: TOP };
     let mut svg = open(WIDTH, plot.height, plot.name);
-    for (class, start, length) in plot.bands {
+    let band = |svg: &mut String, kind: &str, (class, start, length): &(&str, usize, usize), top: f64, height: f64| {
         let (from, to) = (first + *start as f64 - 0.5, first + (start + length) as f64 - 0.5);
         let (from, to) = (x.at(from).max(x.from), x.at(to).min(x.to));
-        svg += &format!(
-            "<rect class='band {class}' x='{from:.1}' y='{:.1}' width='{:.1}' height='{:.1}'/>",
-            y.to,
-            (to - from).max(0.5),
-            y.from - y.to
+        let width = (to - from).max(0.5);
+        *svg += &format!(
+            "<rect class='{kind} {class}' x='{from:.1}' y='{top:.1}' width='{width:.1}' height='{height:.1}'/>"
         );
+    };
+    for run in plot.bands {
+        band(&mut svg, "band", run, y.to, y.from - y.to);
+    }
+    for run in plot.strip {
+        band(&mut svg, "verdict", run, y.to - 9.0, 6.0);
     }
     axes(&mut svg, &x, &y, ["frame", plot.name]);
     let height = |value: f64| y.at(value.min(plot.top));
@@ -241,7 +247,16 @@ mod tests {
     #[test]
     fn nothing_to_plot_is_no_plot() {
         assert_eq!(plane(&[], ["x", "y"], 10.0, 10.0), "");
-        let plot = OverFrames { first: 0, stacked: &[], lines: &[], bands: &[], name: "ms", top: 1.0, height: 100.0 };
+        let plot = OverFrames {
+            first: 0,
+            stacked: &[],
+            lines: &[],
+            bands: &[],
+            strip: &[],
+            name: "ms",
+            top: 1.0,
+            height: 100.0,
+        };
         assert_eq!(over_frames(&plot), "");
     }
 }

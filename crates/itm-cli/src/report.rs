@@ -16,6 +16,8 @@ use crate::timings::{Row, STAGES, median};
 
 /// Messages that the page shows.
 const MOST_MESSAGES: usize = 200;
+/// Lines about frames that were not good.
+const MOST_NOT_GOOD: usize = 40;
 
 /// What the page shows.
 pub(crate) struct Report<'a> {
@@ -64,6 +66,20 @@ fn grouped(number: usize) -> String {
     text
 }
 
+/// A top for the axis of such values that a few of them do not set: they, as a slow first frame, would press all others to
+/// the ground. Says where some are beyond it.
+fn top_of(mut values: Vec<f64>) -> (f64, Option<String>) {
+    values.sort_unstable_by(f64::total_cmp);
+    let Some(&largest) = values.last() else { return (1.0, None) };
+    let top = (values[(values.len() - 1) * 98 / 100] * 1.15).max(0.01);
+    let beyond = match values.iter().filter(|v| **v > top).count() {
+        0 => None,
+        1 => Some(format!(". 1 frame goes beyond the plot, up to {largest:.0}")),
+        cut => Some(format!(". {cut} frames go beyond the plot, up to {largest:.0}")),
+    };
+    (top, beyond)
+}
+
 impl Report<'_> {
     fn html(&self) -> String {
         let name = escape(&self.summary.recording);
@@ -78,6 +94,7 @@ impl Report<'_> {
         page += &self.errors();
         page += &section("Model", &self.model());
         page += &section("Trajectory", &self.trajectory());
+        page += &section("Tracking", &self.tracking());
         page += &section("Time for each frame", &self.timings());
         page += &section("Run", &self.table());
         page += &section("Messages", &self.messages());
@@ -100,6 +117,10 @@ impl Report<'_> {
     fn tiles(&self) -> String {
         let s = self.summary;
         let mut tiles = vec![(format!("{:.1} %", s.posed_share * 100.0), "of the frames have a pose".to_string())];
+        if s.poor + s.lost > 0 {
+            let what = format!("frames not good: {} poor, {} lost", grouped(s.poor), grouped(s.lost));
+            tiles.push((grouped(s.poor + s.lost), what));
+        }
         if let Some(e) = &s.evaluation {
             tiles.push((format!("{:.1} mm", e.ate.rmse * 1e3), "trajectory error (ATE, rmse)".into()));
             tiles.push((format!("{:.1} mm", e.rpe_translation.rmse * 1e3), "drift a frame (RPE, rmse)".into()));
@@ -205,6 +226,7 @@ impl Report<'_> {
             stacked: &[],
             lines: &[line],
             bands: &bands,
+            strip: &[],
             name: "position error (mm)",
             top: (top * 1.1).max(0.1),
             height: 200.0,
@@ -217,21 +239,129 @@ impl Report<'_> {
         self.rows.first().map_or(0, |row| row.frame)
     }
 
-    /// Runs of frames without a pose.
+    /// Runs of frames that were not good.
     fn bands(&self) -> Vec<(&'static str, usize, usize)> {
-        let mut bands: Vec<(&'static str, usize, usize)> = Vec::new();
+        self.runs(|row| match row.status {
+            "lost" => Some("lost"),
+            "poor" => Some("poor"),
+            "skipped" | "no-pose" | "no-depth" => Some("skipped"),
+            _ => None,
+        })
+    }
+
+    /// Runs of neighbouring frames of one class: class, first frame, number of frames (by their place, from 0).
+    fn runs(&self, class: impl Fn(&Row) -> Option<&'static str>) -> Vec<(&'static str, usize, usize)> {
+        let mut runs: Vec<(&'static str, usize, usize)> = Vec::new();
         for (i, row) in self.rows.iter().enumerate() {
-            let class = match row.status {
-                "lost" => "lost",
-                "skipped" | "no-pose" => "skipped",
-                _ => continue,
-            };
-            match bands.last_mut() {
+            let Some(class) = class(row) else { continue };
+            match runs.last_mut() {
                 Some((last, start, length)) if *last == class && *start + *length == i => *length += 1,
-                _ => bands.push((class, i, 1)),
+                _ => runs.push((class, i, 1)),
             }
         }
-        bands
+        runs
+    }
+
+    fn tracking(&self) -> String {
+        if self.rows.iter().all(|row| row.verdict.is_none()) {
+            return self.not_good();
+        }
+        let bands = self.bands();
+        let strip = self.runs(|row| row.verdict);
+        let mut names = Vec::new();
+        for (class, name) in [("good", "good"), ("poor", "poor"), ("lost", "lost")] {
+            let count = self.rows.iter().filter(|row| row.verdict == Some(class)).count();
+            names.push((format!("verdict {class}"), format!("{name}: {}", grouped(count))));
+        }
+        if bands.iter().any(|band| band.0 == "skipped") {
+            names.push(("skipped".into(), "skipped, or without a pose or depth".into()));
+        }
+        let draw = |stacked: &[Layer], lines: &[Layer], name: &str, top: f64| {
+            let (first, height) = (self.first_frame(), 170.0);
+            plot::over_frames(&OverFrames { first, stacked, lines, bands: &bands, strip: &strip, name, top, height })
+        };
+        let line = |name: &str, value: &dyn Fn(&Row) -> Option<f64>, top: Option<f64>, caption: &str| {
+            let values: Vec<Option<f64>> = self.rows.iter().map(value).collect();
+            let (found, beyond) = top_of(values.iter().flatten().copied().collect());
+            let layer = Layer { name: String::new(), class: "error".into(), values };
+            let svg = draw(&[], &[layer], name, top.unwrap_or(found));
+            let beyond = beyond.filter(|_| top.is_none()).unwrap_or_default();
+            format!("<figure class='row'>{svg}<figcaption>{caption}{beyond}</figcaption></figure>")
+        };
+        let mut body = legend(names.iter().map(|(class, name)| (class.as_str(), name.as_str())));
+        body += &line(
+            "inliers (%)",
+            &|row| row.inlier_share.map(|share| 100.0 * share),
+            Some(100.0),
+            "Points that agree with the map, as a share of the pixels with a depth",
+        );
+        body +=
+            &line("residual (mm)", &|row| row.rms_mm, None, "Distance of those points from the map, root mean square");
+        let levels = self.rows.iter().map(|row| row.iterations.len()).max().unwrap_or(0);
+        // Counted from the finest level, as rows may have different numbers of them.
+        let of_level = |row: &Row, level: usize| Some(*row.iterations.iter().rev().nth(level)?);
+        let layers: Vec<Layer> = (0..levels)
+            .rev()
+            .map(|level| Layer {
+                name: match level {
+                    0 => "finest level".into(),
+                    _ if level + 1 == levels => "coarsest level".into(),
+                    _ => format!("level {level}"),
+                },
+                class: format!("l{}", level.min(7)),
+                values: self.rows.iter().map(|row| of_level(row, level).map(f64::from)).collect(),
+            })
+            .collect();
+        if !layers.is_empty() {
+            let sums = self.rows.iter().map(|row| f64::from(row.iterations.iter().sum::<u32>()));
+            let (top, beyond) = top_of(sums.collect());
+            let svg = draw(&layers, &[], "iterations", top);
+            let names = legend(layers.iter().map(|l| (l.class.as_str(), l.name.as_str())));
+            let caption = format!("Iterations at each level of the image pyramid{}", beyond.unwrap_or_default());
+            body += &format!("<figure class='row'>{names}{svg}<figcaption>{caption}</figcaption></figure>");
+        }
+        body += &line(
+            "chance wrong",
+            &|row| row.chance_wrong,
+            Some(1.0),
+            "Estimated chance that the pose is wrong; 0 or 1 where a frame was judged otherwise",
+        );
+        body + &self.not_good()
+    }
+
+    /// The frames that were not good, and why.
+    fn not_good(&self) -> String {
+        // Neighbours that are alike in everything share a line.
+        let mut groups: Vec<(&Row, &Row)> = Vec::new();
+        let mut before = None;
+        for (i, row) in self.rows.iter().enumerate().filter(|(_, row)| row.trouble().is_some()) {
+            let follows = i > 0 && before == Some(i - 1);
+            before = Some(i);
+            match groups.last_mut() {
+                Some((first, last)) if follows && first.status == row.status && first.reasons == row.reasons => {
+                    *last = row
+                }
+                _ => groups.push((row, row)),
+            }
+        }
+        if groups.is_empty() {
+            return String::new();
+        }
+        let line = |(row, last): &(&Row, &Row)| {
+            let class = row.verdict.map_or_else(|| "skipped".into(), |verdict| format!("verdict {verdict}"));
+            let mark = format!("<i class='mark {class}'></i>{}", row.status.replace('-', " "));
+            let frames = match (row.frame, last.frame) {
+                (first, last) if first == last => format!("frame {first}"),
+                (first, last) => format!("frames {first} to {last}"),
+            };
+            format!("<tr><th>{frames}</th><td class='verdict'>{mark}</td><td>{}</td></tr>", escape(&row.why()))
+        };
+        let lines: String = groups.iter().take(MOST_NOT_GOOD).map(line).collect();
+        let more = match groups.len().saturating_sub(MOST_NOT_GOOD) {
+            0 => String::new(),
+            more => format!("<p class='note'>and {} more lines; timings.csv has all frames</p>", grouped(more)),
+        };
+        format!("<h3>Frames that were not good</h3><table class='frames'>{lines}</table>{more}")
     }
 
     fn timings(&self) -> String {
@@ -251,12 +381,9 @@ impl Report<'_> {
             class: "total".into(),
             values: self.rows.iter().map(|row| row.total_ms).collect(),
         };
-        // A few slow frames, as the first one, would press all others to the ground.
         let sum = |row: &Row| row.stage_ms.iter().flatten().sum::<f64>().max(row.total_ms.unwrap_or(0.0));
-        let mut heights: Vec<f64> = self.rows.iter().map(sum).collect();
-        heights.sort_unstable_by(f64::total_cmp);
-        let top = (heights[(heights.len() - 1) * 98 / 100] * 1.15).max(0.01);
-        let cut = heights.iter().filter(|h| **h > top).count();
+        let heights: Vec<f64> = self.rows.iter().map(sum).collect();
+        let (top, beyond) = top_of(heights);
         let bands = self.bands();
         let lines = [total];
         let svg = plot::over_frames(&OverFrames {
@@ -264,25 +391,24 @@ impl Report<'_> {
             stacked: &stacked,
             lines: &lines,
             bands: &bands,
+            strip: &[],
             name: "time (ms)",
             top,
             height: 340.0,
         });
         let mut names: Vec<(&str, &str)> = stacked.iter().map(|l| (l.class.as_str(), l.name.as_str())).collect();
         names.push(("total thin", "whole frame"));
-        for (class, name) in [("lost", "lost"), ("skipped", "skipped or without a pose")] {
+        for (class, name) in [("poor", "poor"), ("lost", "lost"), ("skipped", "skipped, or without a pose or depth")] {
             if bands.iter().any(|band| band.0 == class) {
                 names.push((class, name));
             }
         }
-        let mut note = "Stages as measured on the device, tracking and the whole frame on the host.".to_string();
+        let mut note = "Stages as measured on the device, tracking and the whole frame on the host".to_string();
         if stacked.len() < 2 {
-            note = "This device has no clock, so that its stages are not timed.".into();
+            note = "This device has no clock, so that its stages are not timed".into();
         }
-        if cut > 0 {
-            let largest = heights.last().copied().unwrap_or(0.0);
-            let are = if cut == 1 { "frame goes" } else { "frames go" };
-            note += &format!(" {cut} {are} beyond the plot, up to {largest:.0} ms.");
+        if let Some(beyond) = beyond {
+            note += &format!("{beyond}.");
         }
         format!("{}{svg}<p class='note'>{note}</p>{}", legend(names), self.stage_table())
     }
@@ -324,7 +450,7 @@ impl Report<'_> {
         rows.push(("device", s.device.clone()));
         let (reached, share) = (grouped(s.frames_reached), s.posed_share * 100.0);
         let posed = format!("{} of {reached} with a pose ({share:.1} %)", grouped(s.posed));
-        rows.push(("frames", format!("{posed}, {} lost, {} skipped", s.lost, s.skipped)));
+        rows.push(("frames", format!("{posed}, {} poor, {} lost, {} skipped", s.poor, s.lost, s.skipped)));
         if self.info.depth_without_colour > 0 {
             let left_out = format!("{} depth images without a colour image", self.info.depth_without_colour);
             rows.push(("left out", left_out));

@@ -37,6 +37,13 @@ Examples:
   itm run redkitchen/seq-01 -o kitchen --frames 0..300 --set map.voxel_size_m=0.01
   itm run scan --depth-pattern 'depth/%06d.png' --calibration calib.txt
   itm run room --poses given --json
+  itm run room --tracker type=extended,levels=rrbb,useDepth=1 --explain
+  itm run room --tracker 'type=composite,policy=first-success;type=icp;type=extended'
+
+The kinds of --tracker are icp, extended, rgb, imuicp, extendedimu, file, forcefail and composite; the keys of each are in
+crates/itm-core/src/settings/tracker_string.rs and in the message about one that is not known; the settings that they
+stand for, in crates/itm-core/src/settings/tracker.rs and in the settings.toml of any run. Later ones win: --settings, each
+--set in order, then flags, --tracker among them; what its string does not name stays as those before it said.
 
 Ctrl-C ends the run after the current frame; mesh and report are written all the same.
 Exit status: 0 complete, 130 stopped by Ctrl-C, 1 error, 2 bad command line.")]
@@ -55,6 +62,9 @@ pub(crate) struct Arguments {
     /// A single setting, which wins over the file: --set map.voxel_size_m=0.01 (may be repeated)
     #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
+    /// The tracker as one string, type=KIND,key=value,... (see below); wins over the settings and --set
+    #[arg(long, value_name = "STRING")]
+    tracker: Option<String>,
     /// Where camera poses come from
     #[arg(long, value_enum, default_value_t = PosesArgument::Tracked)]
     poses: PosesArgument,
@@ -85,6 +95,9 @@ pub(crate) struct Arguments {
     /// Write no mesh
     #[arg(long, conflicts_with_all = ["mesh_format", "up"])]
     no_mesh: bool,
+    /// Say of each frame that was not good what became of it and why; with --json also in the summary, as not_good
+    #[arg(long)]
+    explain: bool,
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
@@ -185,6 +198,10 @@ pub(crate) struct Summary {
     pub(crate) recording: String,
     pub(crate) format: String,
     pub(crate) calibration: String,
+    /// Frames of the whole recording.
+    pub(crate) recording_frames: usize,
+    pub(crate) has_colour: bool,
+    pub(crate) has_gyroscope: bool,
     pub(crate) device: String,
     /// `tracked` or `given`.
     pub(crate) poses: &'static str,
@@ -195,6 +212,7 @@ pub(crate) struct Summary {
     pub(crate) posed: usize,
     /// Share of the frames reached that have a pose.
     pub(crate) posed_share: f64,
+    pub(crate) poor: usize,
     pub(crate) lost: usize,
     pub(crate) skipped: usize,
     pub(crate) stopped: bool,
@@ -212,6 +230,9 @@ pub(crate) struct Summary {
     pub(crate) mesh: Option<MeshSummary>,
     pub(crate) evaluation: Option<Evaluation>,
     pub(crate) mesh_error: Option<MeshError>,
+    /// The frames that were not good, where that was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) not_good: Option<Vec<NotGood>>,
     /// What a user should know, frame by frame.
     pub(crate) messages: Vec<Message>,
     pub(crate) out: PathBuf,
@@ -222,6 +243,21 @@ pub(crate) struct MeshSummary {
     pub(crate) vertices: usize,
     pub(crate) triangles: usize,
     pub(crate) seconds: f64,
+}
+
+/// A frame that was not good.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub(crate) struct NotGood {
+    pub(crate) frame: u64,
+    /// `poor` or `lost`; or `no-depth`, `no-pose` or `skipped`, where the frame was not tracked.
+    pub(crate) verdict: &'static str,
+    pub(crate) reasons: Vec<String>,
+}
+
+impl NotGood {
+    fn of(row: &Row) -> Option<Self> {
+        Some(Self { frame: row.frame, verdict: row.trouble()?, reasons: row.reasons.clone() })
+    }
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -246,16 +282,16 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         PosesArgument::Tracked => Poses::Tracked,
         PosesArgument::Given => Poses::Given,
     };
-    if poses == Poses::Given && info.ground_truth.is_none() {
-        return Err(itm_slam::Error::NoPoses { recording: info.name }.into());
-    }
     let frames = arguments.frames.map(|range| range.within(&info)).transpose()?;
+    let options = SessionOptions { settings, poses, frames: frames.clone() };
+    Session::check(recording.as_ref(), &options)?;
     let out = arguments.out.clone().unwrap_or_else(|| Path::new("out").join(&info.name));
     prepare_folder(&out, &arguments.recording)?;
 
-    let device = Device::open(&settings.device.adapter)?;
-    let mut session = Session::new(&device, recording, &SessionOptions { settings, poses, frames: frames.clone() })?;
+    let device = Device::open(&options.settings.device.adapter)?;
+    let mut session = Session::new(&device, recording, &options)?;
     let mut log = Log::create(&out, &info, session.slam().settings())?;
+    log.explain = arguments.explain;
     let stop = console::StopOnCtrlC::new(session.stop_switch());
     let bar = console::bar(frames.map_or(info.frames, |f| f.len()) as u64, "frames", arguments.quiet);
     let ended = log.follow(&mut session, &bar)?;
@@ -295,12 +331,16 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         recording: info.name.clone(),
         format: info.format.to_string(),
         calibration: info.calibration_source.clone(),
+        recording_frames: info.frames,
+        has_colour: info.has_colour,
+        has_gyroscope: info.has_gyroscope,
         device: device.name().to_string(),
         poses: if poses == Poses::Tracked { "tracked" } else { "given" },
         frames: ended.frames,
         frames_reached: rows.len(),
         posed: ended.posed,
         posed_share: ended.posed as f64 / rows.len().max(1) as f64,
+        poor: ended.poor,
         lost: ended.lost,
         skipped: ended.skipped,
         stopped: ended.stopped,
@@ -318,6 +358,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         }),
         evaluation,
         mesh_error,
+        not_good: arguments.explain.then(|| rows.iter().filter_map(NotGood::of).collect()),
         messages: log.messages.clone(),
         out: out.clone(),
     };
@@ -365,6 +406,9 @@ impl Arguments {
         };
         let file = file.as_ref().map(|(name, text)| (name.as_str(), text.as_str()));
         let mut settings = Settings::resolve(file, &self.overrides)?;
+        if let Some(tracker) = &self.tracker {
+            settings.tracker.set_string(tracker)?;
+        }
         if let Some(device) = &self.device {
             settings.device.adapter.clone_from(device);
         }
@@ -402,7 +446,7 @@ fn prepare_folder(out: &Path, recording: &Path) -> Result<()> {
 
 /// Writes what was measured against the truth, where anything was.
 fn write_metrics(summary: &Summary) -> Result<()> {
-    let Summary { frames_reached, posed, posed_share, evaluation, mesh_error, out, .. } = summary;
+    let Summary { frames_reached, posed, posed_share, poor, lost, evaluation, mesh_error, out, .. } = summary;
     if evaluation.is_none() && mesh_error.is_none() {
         return Ok(());
     }
@@ -411,6 +455,8 @@ fn write_metrics(summary: &Summary) -> Result<()> {
         "frames": frames_reached,
         "posed": posed,
         "posed_share": posed_share,
+        "poor": poor,
+        "lost": lost,
         "evaluation": evaluation,
         "mesh_error": mesh_error,
     });
@@ -442,6 +488,8 @@ struct Log {
     messages: Vec<Message>,
     /// Why results could not be written any more.
     failure: Option<Error>,
+    /// Whether each frame that was not good is told.
+    explain: bool,
     lost: bool,
     full: bool,
     dropped: bool,
@@ -470,6 +518,7 @@ impl Log {
             info: info.clone(),
             messages: Vec::new(),
             failure: None,
+            explain: false,
             lost: false,
             full: false,
             dropped: false,
@@ -492,7 +541,7 @@ impl Log {
                     // The reason may name the frame already.
                     let reason = reason.strip_prefix(&format!("frame {index}: ")).unwrap_or(&reason);
                     self.say(index as u64, format!("skipped: {reason}"));
-                    self.timings.skipped(index).context("cannot write timings.csv")
+                    self.timings.skipped(index, reason).context("cannot write timings.csv")
                 }
                 Event::Finished(summary) => {
                     summary.reports.iter().for_each(|report| self.tell_notices(report));
@@ -527,16 +576,28 @@ impl Log {
 
     /// Tells what is new about the state of tracking and of the map.
     fn tell(&mut self, result: &FrameResult) {
-        match (&result.status, self.lost) {
+        let news = match (&result.status, self.lost) {
             (FrameStatus::Lost { reason }, false) => {
                 self.lost = true;
-                self.say(result.index, format!("tracking lost: {reason}"));
+                Some(format!("tracking lost: {reason}"))
             }
             (FrameStatus::Tracked, true) => {
                 self.lost = false;
-                self.say(result.index, "tracked again".into());
+                Some("tracked again".into())
             }
-            _ => {}
+            _ => None,
+        };
+        match news {
+            // Each frame is explained instead, which says as much.
+            Some(text) if self.explain => self.messages.push(Message { frame: result.index, text }),
+            Some(text) => self.say(result.index, text),
+            None => {}
+        }
+        if self.explain
+            && let Some(row) = self.timings.rows().last()
+            && let Some(trouble) = row.trouble()
+        {
+            console::note(format_args!("frame {}: {trouble}: {}", row.frame, row.why()));
         }
         if let Some(report) = &result.report {
             self.tell_notices(report);
@@ -596,12 +657,16 @@ impl Log {
 
 impl std::fmt::Display for Summary {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { frames, frames_reached, posed, lost, skipped, .. } = self;
+        let Self { frames, frames_reached, posed, poor, lost, skipped, .. } = self;
         let share = self.posed_share * 100.0;
         if self.stopped {
             writeln!(f, "stopped after {frames_reached} of {frames} frames")?;
         }
-        write!(f, "frames with a pose: {posed} of {frames_reached} ({share:.1} %); {lost} lost, {skipped} skipped")?;
+        write!(f, "frames with a pose: {posed} of {frames_reached} ({share:.1} %); ")?;
+        write!(f, "{poor} poor, {lost} lost, {skipped} skipped")?;
+        if self.not_good.is_none() && poor + lost > 0 {
+            write!(f, " (--explain says which and why)")?;
+        }
         write!(f, "\ntime: {:.1} s, {:.1} frames/s", self.seconds, self.frames_per_second)?;
         if let Some(ms) = self.median_frame_ms {
             write!(f, ", median {ms:.1} ms a frame on {}", self.device)?;

@@ -29,6 +29,28 @@ pub(crate) struct Row {
     pub(crate) inliers: Option<u32>,
     pub(crate) inlier_share: Option<f64>,
     pub(crate) rms_mm: Option<f64>,
+    /// `good`, `poor` or `lost`, where the frame was tracked.
+    pub(crate) verdict: Option<&'static str>,
+    pub(crate) chance_wrong: Option<f64>,
+    pub(crate) information: Option<f64>,
+    /// Directions that were held.
+    pub(crate) held: Option<usize>,
+    /// At each level, from coarse to fine.
+    pub(crate) iterations: Vec<u32>,
+    /// Why the frame was not good.
+    pub(crate) reasons: Vec<String>,
+}
+
+impl Row {
+    /// What became of the frame, where that is not what one hopes for.
+    pub(crate) fn trouble(&self) -> Option<&'static str> {
+        (!matches!(self.status, "placed" | "tracked")).then_some(self.status)
+    }
+
+    /// The reasons in one text.
+    pub(crate) fn why(&self) -> String {
+        self.reasons.join("; ")
+    }
 }
 
 /// Writes rows in the order of the frames, each once its report has come.
@@ -47,7 +69,11 @@ pub(crate) struct Timings<W: Write> {
 impl<W: Write> Timings<W> {
     pub(crate) fn new(mut writer: W) -> io::Result<Self> {
         let stages = STAGES.join(",");
-        writeln!(writer, "frame,timestamp,status,{stages},total_ms,visible_blocks,blocks,inliers,inlier_share,rms_mm")?;
+        writeln!(
+            writer,
+            "frame,timestamp,status,{stages},total_ms,visible_blocks,blocks,inliers,inlier_share,rms_mm,verdict,\
+             chance_wrong,information,held,iterations,reasons"
+        )?;
         writer.flush()?;
         Ok(Self { writer, rows: Vec::new(), written: 0, due: VecDeque::new(), unflushed: 0 })
     }
@@ -70,6 +96,21 @@ impl<W: Write> Timings<W> {
                 FrameStatus::NoPose => "no-pose",
                 FrameStatus::NoDepth => "no-depth",
             },
+            verdict: match result.status {
+                FrameStatus::Tracked => Some("good"),
+                FrameStatus::Poor { .. } => Some("poor"),
+                FrameStatus::Lost { .. } => Some("lost"),
+                _ => None,
+            },
+            reasons: match &result.status {
+                FrameStatus::Poor { reason } | FrameStatus::Lost { reason } => {
+                    let told = result.tracked.as_ref().map(|tracked| tracked.reasons.clone());
+                    told.filter(|reasons| !reasons.is_empty()).unwrap_or_else(|| vec![reason.clone()])
+                }
+                FrameStatus::NoPose => vec!["there is no given pose".into()],
+                FrameStatus::NoDepth => vec!["no pixel has a depth within the view's range".into()],
+                FrameStatus::Placed | FrameStatus::Tracked => Vec::new(),
+            },
             total_ms: Some(total_ms),
             ..Row::default()
         };
@@ -79,6 +120,10 @@ impl<W: Write> Timings<W> {
             row.inlier_share = Some(tracked.inlier_share);
             // Without inliers it is infinite.
             row.rms_mm = Some(tracked.rms_m * 1e3).filter(|rms| rms.is_finite());
+            row.chance_wrong = Some(tracked.chance_wrong);
+            row.information = Some(tracked.information);
+            row.held = Some(tracked.held);
+            row.iterations.clone_from(&tracked.evaluations);
         }
         if result.fused {
             self.due.push_back(self.rows.len());
@@ -91,8 +136,9 @@ impl<W: Write> Timings<W> {
     }
 
     /// Takes in a frame that was skipped.
-    pub(crate) fn skipped(&mut self, index: usize) -> io::Result<()> {
-        self.rows.push(Row { frame: index as u64, status: "skipped", ..Row::default() });
+    pub(crate) fn skipped(&mut self, index: usize, reason: &str) -> io::Result<()> {
+        let reasons = vec![reason.to_string()];
+        self.rows.push(Row { frame: index as u64, status: "skipped", reasons, ..Row::default() });
         self.write_complete()
     }
 
@@ -150,8 +196,20 @@ impl Row {
             write!(to, ",{}", ms(value))?;
         }
         let (visible, blocks, inliers) = (cell(self.visible_blocks), cell(self.blocks), cell(self.inliers));
-        writeln!(to, ",{visible},{blocks},{inliers},{},{}", ms(self.inlier_share), ms(self.rms_mm))
+        write!(to, ",{visible},{blocks},{inliers},{},{}", ms(self.inlier_share), ms(self.rms_mm))?;
+        let information = cell(self.information.map(|v| format!("{v:.6}")));
+        write!(to, ",{},{},{information},{}", cell(self.verdict), ms(self.chance_wrong), cell(self.held))?;
+        let iterations: Vec<String> = self.iterations.iter().map(u32::to_string).collect();
+        writeln!(to, ",{},{}", iterations.join("/"), quoted(&self.why()))
     }
+}
+
+/// A text as a CSV cell in one line (RFC 4180).
+fn quoted(text: &str) -> String {
+    if text.is_empty() {
+        return String::new();
+    }
+    format!("\"{}\"", text.replace(['\n', '\r'], " ").replace('"', "\"\""))
 }
 
 /// The middle one of some values, or `None` of none.
@@ -165,6 +223,7 @@ pub(crate) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use itm_slam::tracking::{Tracked, Verdict};
     use itm_slam::{FrameRecord, Se3};
 
     fn result(index: u64, status: FrameStatus, report: Option<FrameReport>) -> FrameResult {
@@ -198,21 +257,47 @@ mod tests {
     fn rows_wait_for_their_reports_and_keep_their_order() {
         let mut timings = Timings::new(Vec::new()).unwrap();
         timings.frame(&result(4, FrameStatus::Placed, None), 10.0).unwrap();
-        timings.skipped(5).unwrap();
+        timings.skipped(5, "cut off").unwrap();
         timings.frame(&result(6, lost(), None), 11.0).unwrap();
         assert!(lines(&timings).is_empty());
         timings.frame(&result(7, FrameStatus::Tracked, report(4)), 12.0).unwrap();
         let expected = [
-            "4,2.000000000,placed,1.5000,,,,,,2.0000,,10.0000,7,20,,,",
-            "5,,skipped,,,,,,,,,,,,,,",
-            "6,3.000000000,lost,,,,,,,,,11.0000,,,,,",
+            "4,2.000000000,placed,1.5000,,,,,,2.0000,,10.0000,7,20,,,,,,,,,",
+            "5,,skipped,,,,,,,,,,,,,,,,,,,,\"cut off\"",
+            "6,3.000000000,lost,,,,,,,,,11.0000,,,,,,lost,,,,,\"too few\"",
         ];
         assert_eq!(lines(&timings), expected);
         timings.finish(&[report(7).unwrap()]).unwrap();
-        assert_eq!(lines(&timings)[3], "7,3.500000000,tracked,1.5000,,,,,,2.0000,,12.0000,7,20,,,");
+        assert_eq!(lines(&timings)[3], "7,3.500000000,tracked,1.5000,,,,,,2.0000,,12.0000,7,20,,,,good,,,,,");
         let header = String::from_utf8(timings.writer.clone()).unwrap();
         let columns = header.lines().next().unwrap().split(',').count();
         assert!(lines(&timings).iter().all(|line| line.split(',').count() == columns), "{header}");
+    }
+
+    #[test]
+    fn what_tracking_found_is_in_the_row_and_reasons_are_one_cell() {
+        let mut timings = Timings::new(Vec::new()).unwrap();
+        let tracked = Tracked {
+            world_from_camera: Se3::IDENTITY,
+            estimate: Se3::IDENTITY,
+            verdict: Verdict::Poor,
+            reasons: vec!["12 %, of 900".into(), "the \"plane\"\nslides".into()],
+            chance_wrong: 0.625,
+            inliers: 108,
+            inlier_share: 0.12,
+            rms_m: 0.004,
+            information: 2e-4,
+            held: 2,
+            start: 0,
+            evaluations: vec![5, 3, 0, 2],
+        };
+        let status = FrameStatus::Poor { reason: tracked.reasons.join("; ") };
+        let result = FrameResult { tracked: Some(tracked), fused: false, ..result(3, status, None) };
+        timings.frame(&result, 9.0).unwrap();
+        let cells = "poor,0.6250,0.000200,2,5/3/0/2,\"12 %, of 900; the \"\"plane\"\" slides\"";
+        let expected = format!("3,1.500000000,poor,,0.0000,,,,,,,9.0000,,,108,0.1200,4.0000,{cells}");
+        assert_eq!(lines(&timings), [expected]);
+        assert_eq!(timings.rows()[0].trouble(), Some("poor"));
     }
 
     #[test]

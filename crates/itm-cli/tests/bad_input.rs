@@ -95,6 +95,89 @@ fn given_poses_must_be_there() {
     check_in(folder.path(), &["run", "room", "--poses", "given"], 1, &["'room' has no poses"]);
 }
 
+/// Takes a recording's colour: what is left is an image folder with a calibration.
+fn without_colour(folder: &Path) {
+    let room = folder.join("room");
+    fs::remove_dir_all(room.join("rgb")).unwrap();
+    ["rgb.txt", "associations.txt"].iter().for_each(|name| fs::remove_file(room.join(name)).unwrap());
+}
+
+#[test]
+fn trackers_that_cannot_be_meant_are_refused_with_those_there_are() {
+    let folder = with_recording();
+    let run = |tracker: &str, words: &[&str]| {
+        check_in(folder.path(), &["run", "room", "--tracker", tracker], 1, words);
+    };
+    run("type=orb", &["'type=orb'", "there is no tracker 'orb'; there are icp, extended"]);
+    run("type=icp,useDepth=1", &["'icp' has no key 'useDepth'; its keys are levels"]);
+    run("icp", &["'icp' is not of the form key=value"]);
+    check_in(folder.path(), &["run", "room", "--tracker"], 2, &["--tracker"]);
+    let help = String::from_utf8(itm(folder.path(), &["run", "--help"]).stdout).unwrap();
+    assert!(itm_core::TrackerKind::ALL.iter().all(|kind| help.contains(kind.name())), "{help}");
+}
+
+#[test]
+fn trackers_by_colour_need_it() {
+    let folder = with_recording();
+    let run = |more: &[&str], words: &[&str]| {
+        check_in(folder.path(), &[&["run", "room"], more].concat(), 1, words);
+    };
+    let blind = "type=extended,useDepth=0,useColour=1";
+    run(&["--tracker", "type=rgb", "--set", "map.colour=false"], &["'rgb' compares colours", "map.colour is off"]);
+    run(&["--tracker", "type=rgb", "--set", "view.colour=false"], &["'rgb' compares colours", "view.colour is off"]);
+    run(&["--tracker", blind, "--set", "view.colour=false"], &["'extended'", "view.colour is off"]);
+    let of_map = ["--set", "tracker.extended.use_depth=false", "--set", "tracker.extended.use_map_colour=true"];
+    run(&[&of_map[..], &["--set", "map.colour=false"]].concat(), &["'extended'", "map.colour is off"]);
+    without_colour(folder.path());
+    run(&["--tracker", "type=rgb"], &["'rgb' compares colours, but the recording 'room' has none"]);
+    run(&["--tracker", "type=composite;type=icp;type=rgb"], &["'rgb'", "'room' has none"]);
+    run(&["--tracker", blind], &["'extended'", "'room' has none"]);
+    assert!(!folder.path().join("out").exists());
+}
+
+#[test]
+fn trackers_by_an_inertial_sensor_need_one() {
+    let folder = with_recording();
+    fs::remove_file(folder.path().join("room/gyroscope.txt")).unwrap();
+    for (tracker, instead) in [("imuicp", "'icp'"), ("extendedimu", "'extended'")] {
+        let given = format!("type={tracker}");
+        check_in(folder.path(), &["run", "room", "--tracker", &given], 1, &[tracker, "'room'", "gyroscope", instead]);
+    }
+}
+
+#[test]
+fn trackers_by_files_need_a_pose_of_each_frame() {
+    let folder = with_recording();
+    let run = |mask: &str, more: &[&str], words: &[&str]| {
+        let given = format!("type=file,mask={mask}");
+        check_in(folder.path(), &[&["run", "room", "--tracker", &given], more].concat(), 1, words);
+    };
+    run("", &[], &["tracker.file.mask must be a mask"]);
+    run("poses/%06d.txt", &[], &["'poses' does not exist"]);
+    run("none.txt", &[], &["'none.txt'"]);
+    fs::create_dir(folder.path().join("poses")).unwrap();
+    run("poses/%06d.txt", &[], &["'poses' holds no pose files"]);
+    let identity = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n";
+    for frame in [0, 1] {
+        fs::write(folder.path().join(format!("poses/{frame:06}.txt")), identity).unwrap();
+    }
+    run("poses/%06d.txt", &[], &["'poses/%06d.txt', which has none of frame 2"]);
+    run("poses/%06d.txt", &["--frames", "2.."], &["none of frame 2"]);
+    // By time: the recording's own truth but for its second frame.
+    let truth = fs::read_to_string(folder.path().join("room/groundtruth.txt")).unwrap();
+    let times = fs::read_to_string(folder.path().join("room/depth.txt")).unwrap();
+    let time =
+        times.lines().filter(|line| !line.starts_with('#')).nth(1).unwrap().split(' ').next().unwrap().to_string();
+    let second: f64 = time.parse().unwrap();
+    let kept = |line: &&str| {
+        let time = line.split(' ').next().unwrap().parse::<f64>();
+        time.map_or(true, |time| (time - second).abs() > 0.025)
+    };
+    let lines: Vec<&str> = truth.lines().filter(kept).collect();
+    fs::write(folder.path().join("truth.txt"), lines.join("\n") + "\n").unwrap();
+    run("truth.txt", &[], &["'truth.txt', which has none of frame 1"]);
+}
+
 #[test]
 fn trajectories_that_cannot_be_compared() {
     let folder = with_recording();

@@ -99,6 +99,95 @@ fn an_unreadable_frame_is_reported_counted_and_skipped() {
     assert!(said.contains("000003.png"), "{said}");
 }
 
+/// Puts 'no measurement' in place of a frame's depth.
+fn blind(folder: &Path, frame: u32) {
+    let depth = image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::new(160, 120);
+    depth.save(folder.join(format!("room/depth/{frame:06}.png"))).unwrap();
+}
+
+#[test]
+fn a_frame_without_depth_is_lost_and_explained() {
+    if skipped() {
+        return;
+    }
+    let folder = with_recording(8);
+    blind(folder.path(), 4);
+    let output = succeed(command(folder.path(), "out").args(["--explain", "--no-mesh"]));
+    let summary = summary(&output);
+    assert_eq!(summary["lost"], 1, "{summary}");
+    assert_eq!(summary["posed"], 7);
+    let not_good = summary["not_good"].as_array().unwrap();
+    let lost = not_good.iter().find(|frame| frame["verdict"] == "lost").unwrap();
+    assert_eq!(lost["frame"], 4);
+    assert!(!lost["reasons"][0].as_str().unwrap().is_empty());
+    let poor = not_good.iter().filter(|frame| frame["verdict"] == "poor").count();
+    assert_eq!(summary["poor"], poor);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(said.lines().filter(|line| line.starts_with("frame ")).count(), not_good.len(), "{said}");
+    assert!(said.contains("frame 4: lost: "), "{said}");
+    let read = |name: &str| fs::read_to_string(folder.path().join("out").join(name)).unwrap();
+    assert!(!read("trajectory.txt").to_lowercase().contains("nan"));
+    assert!(read("timings.csv").contains(",lost,"));
+    assert!(read("report.html").contains("Frames that were not good"));
+}
+
+#[test]
+fn a_recording_without_any_depth_ends_without_a_pose() {
+    if skipped() {
+        return;
+    }
+    let folder = with_recording(3);
+    (0..3).for_each(|frame| blind(folder.path(), frame));
+    let summary = summary(&succeed(command(folder.path(), "out").args(["--explain"])));
+    assert_eq!((&summary["posed"], &summary["lost"]), (&0.into(), &0.into()), "{summary}");
+    let verdicts: Vec<_> = summary["not_good"].as_array().unwrap().iter().map(|frame| &frame["verdict"]).collect();
+    assert_eq!(verdicts, ["no-depth"; 3]);
+    assert!(folder.path().join("out/report.html").exists());
+}
+
+#[test]
+fn a_recording_without_colour_runs_on_depth_alone() {
+    if skipped() {
+        return;
+    }
+    let folder = with_recording(5);
+    fs::remove_dir_all(folder.path().join("room/rgb")).unwrap();
+    ["rgb.txt", "associations.txt"]
+        .iter()
+        .for_each(|name| fs::remove_file(folder.path().join("room").join(name)).unwrap());
+    let plain = summary(&succeed(command(folder.path(), "plain").args(["--no-mesh"])));
+    assert_eq!((&plain["posed"], &plain["has_colour"]), (&5.into(), &false.into()));
+    let trackers =
+        ["type=extended,useDepth=1,useColour=1", "type=composite,policy=refine;type=extended,useDepth=1,useColour=1"];
+    for tracker in trackers {
+        let sets = ["--no-mesh", "--set", "tracker.extended.use_map_colour=true", "--tracker", tracker];
+        let output = succeed(command(folder.path(), "colour").args(sets));
+        assert_eq!(summary(&output)["posed"], 5);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(said.matches("compares depth alone").count(), usize::from(tracker == trackers[0]), "{said}");
+        let trajectory = |out: &str| fs::read(folder.path().join(out).join("trajectory.txt")).unwrap();
+        assert!(trajectory("plain") == trajectory("colour"), "{tracker}: the trajectory is another one");
+    }
+}
+
+#[test]
+fn the_trackers_string_wins_over_the_settings() {
+    if skipped() {
+        return;
+    }
+    let folder = with_recording(3);
+    let sets = ["--no-mesh", "--set", "tracker.kind=extended", "--set", "tracker.icp.max_steps_fine=9"];
+    succeed(command(folder.path(), "out").args(sets).args(["--tracker", "type=icp,levels=bb"]));
+    let settings = fs::read_to_string(folder.path().join("out/settings.toml")).unwrap();
+    for line in ["kind = \"icp\"", "levels = \"bb\"", "max_steps_fine = 9"] {
+        assert!(settings.contains(line), "{line} is not in {settings}");
+    }
+    let timings = fs::read_to_string(folder.path().join("out/timings.csv")).unwrap();
+    let header: Vec<&str> = timings.lines().next().unwrap().split(',').collect();
+    let column = header.iter().position(|name| *name == "iterations").unwrap();
+    assert_eq!(timings.lines().nth(2).unwrap().split(',').nth(column).unwrap().split('/').count(), 2);
+}
+
 #[cfg(unix)]
 #[test]
 fn ctrl_c_still_leaves_mesh_and_report() {

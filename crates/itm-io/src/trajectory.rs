@@ -109,6 +109,11 @@ impl PoseFiles {
         Ok(Self(Source::Matrices(pattern)))
     }
 
+    /// Whether frames find their poses by time, rather than by number.
+    pub fn is_by_time(&self) -> bool {
+        matches!(self.0, Source::Trajectory { numbered: false, .. })
+    }
+
     /// The pose of a frame, `world_from_camera`: from the file with its number, which holds 16 or 12 numbers, a 4x4 matrix
     /// from camera to world or its upper three rows; or from the trajectory, where the pose nearest to its time within 20 ms
     /// counts. A trajectory whose first column holds whole numbers only, as for recordings without times, counts frames there.
@@ -312,6 +317,7 @@ mod tests {
         let rows = "# poses\n5 1 0 0 0 0 0 1\n6 2 0 0 0 0 0 1\n6.03 3 0 0 0 0 0 1\n";
         std::fs::write(folder.path().join("t.txt"), rows).unwrap();
         let poses = PoseFiles::new(folder.path(), "t.txt").unwrap();
+        assert!(poses.is_by_time());
         let x = |poses: &PoseFiles, number, ms: i64| {
             poses.read(number, Timestamp(ms * 1_000_000)).unwrap().map(|pose| pose.translation.x)
         };
@@ -320,6 +326,7 @@ mod tests {
         // Whole numbers are those of frames, as in the trajectory of a recording without times.
         std::fs::write(folder.path().join("n.txt"), "5 1 0 0 0 0 0 1\n6 2 0 0 0 0 0 1\n").unwrap();
         let poses = PoseFiles::new(folder.path(), "n.txt").unwrap();
+        assert!(!poses.is_by_time());
         assert_eq!([5, 6, 7, u64::MAX].map(|n| x(&poses, n, 5_000)), [Some(1.0), Some(2.0), None, None]);
         assert!(PoseFiles::new(folder.path(), "none.txt").is_err());
     }

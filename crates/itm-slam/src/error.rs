@@ -23,6 +23,35 @@ pub enum Error {
         /// Its name.
         recording: String,
     },
+    /// A tracker that compares colours, where there are none.
+    #[error("the tracker '{tracker}' compares colours, but {reason}")]
+    NoColour {
+        /// The tracker's name in settings.
+        tracker: &'static str,
+        /// Why there are none, and what would do.
+        reason: String,
+    },
+    /// A tracker that uses an inertial sensor's readings, where there are none.
+    #[error(
+        "the tracker '{tracker}' turns the camera as an inertial sensor says, but the recording '{recording}' has neither a \
+         gyroscope's readings nor a sensor's orientations; without them '{instead}' does the same"
+    )]
+    NoInertialSensor {
+        /// The tracker's name in settings.
+        tracker: &'static str,
+        /// The recording's name.
+        recording: String,
+        /// The tracker that needs no sensor.
+        instead: &'static str,
+    },
+    /// A tracker that takes poses from files, of which one is missing.
+    #[error("the tracker 'file' takes poses from '{mask}', which has none of frame {frame}")]
+    NoPoseOfFrame {
+        /// Mask of the files, or the trajectory's name.
+        mask: String,
+        /// First frame of those asked for that has no pose.
+        frame: usize,
+    },
     /// A range of frames that the recording does not have.
     #[error("frames {first} to {last} were asked for, but the recording '{recording}' has {frames}")]
     NoSuchFrames {

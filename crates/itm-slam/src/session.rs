@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use itm_core::{Mesh, Settings};
+use itm_core::{Mesh, Settings, SettingsError, Timestamp, TrackerKind, TrackerSettings};
 use itm_io::recording::{ReadAhead, Recording, RecordingInfo};
+use itm_io::trajectory::PoseFiles;
 
 use crate::{Device, Error, FrameReport, FrameResult, FrameStatus, Poses, Slam};
 
@@ -50,6 +51,8 @@ pub struct Summary {
     pub frames: usize,
     /// Frames with a pose.
     pub posed: usize,
+    /// Frames whose pose may be off.
+    pub poor: usize,
     /// Frames whose tracking failed.
     pub lost: usize,
     /// Frames that could not be read or used.
@@ -90,25 +93,17 @@ impl Session {
     /// Prepares a run; nothing is processed before the first event is asked for.
     ///
     /// # Errors
-    /// Where the settings, the calibration or the range of frames cannot be used, given poses are asked for and there are
-    /// none, or the device has no room.
+    /// As [`Session::check`]; also where the calibration cannot be used, or the device has no room.
     pub fn new(device: &Device, recording: Box<dyn Recording>, options: &SessionOptions) -> Result<Self, Error> {
+        let range = Self::check(recording.as_ref(), options)?;
         let info = recording.info().clone();
-        if options.poses == Poses::Given && info.ground_truth.is_none() {
-            return Err(Error::NoPoses { recording: info.name });
-        }
-        let range = options.frames.clone().unwrap_or(0..info.frames);
-        if range.is_empty() || range.end > info.frames {
-            return Err(Error::NoSuchFrames {
-                recording: info.name,
-                first: range.start,
-                last: range.end.saturating_sub(1),
-                frames: info.frames,
-            });
-        }
         let mut settings = options.settings.clone();
         // A plane for colours that never come would be half the map's memory.
-        settings.map.colour &= info.has_colour;
+        settings.map.colour &= info.has_colour && settings.view.colour;
+        let extended = matches!(settings.tracker.kind, TrackerKind::Extended | TrackerKind::ExtendedImu);
+        if extended && options.poses == Poses::Tracked {
+            without_colour(&mut settings, &info);
+        }
         let slam = Slam::new(device, &info.calibration, &settings, options.poses)?;
         let summary = Summary { frames: range.len(), ..Summary::default() };
         Ok(Self {
@@ -122,6 +117,32 @@ impl Session {
             finished: false,
             stop: Arc::default(),
         })
+    }
+
+    /// Finds out, without a device, whether a recording can be run so, and returns the frames that would be.
+    ///
+    /// # Errors
+    /// Where the settings or the range of frames cannot be used, given poses are asked for and there are none, or the
+    /// tracker needs what the recording does not have: colour, an inertial sensor's readings, a pose of each frame.
+    pub fn check(recording: &dyn Recording, options: &SessionOptions) -> Result<Range<usize>, Error> {
+        let info = recording.info();
+        options.settings.validate()?;
+        if options.poses == Poses::Given && info.ground_truth.is_none() {
+            return Err(Error::NoPoses { recording: info.name.clone() });
+        }
+        let range = options.frames.clone().unwrap_or(0..info.frames);
+        if range.is_empty() || range.end > info.frames {
+            return Err(Error::NoSuchFrames {
+                recording: info.name.clone(),
+                first: range.start,
+                last: range.end.saturating_sub(1),
+                frames: info.frames,
+            });
+        }
+        if options.poses == Poses::Tracked {
+            check_tracker(recording, &options.settings, &range)?;
+        }
+        Ok(range)
     }
 
     /// What is known of the recording.
@@ -160,6 +181,101 @@ impl Session {
     }
 }
 
+/// Whether the recording has what the tracker needs.
+fn check_tracker(recording: &dyn Recording, settings: &Settings, range: &Range<usize>) -> Result<(), Error> {
+    let tracker = &settings.tracker;
+    let parts = match tracker.kind {
+        TrackerKind::Composite => tracker.parts()?,
+        _ => vec![tracker.clone()],
+    };
+    for part in &parts {
+        check_part(recording.info(), settings, part)?;
+        if part.kind == TrackerKind::File {
+            let poses = pose_files(part)?;
+            // A composite has other trackers for frames without a pose.
+            if tracker.kind == TrackerKind::File {
+                check_poses(recording, &poses, &part.file.mask, range)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn check_part(info: &RecordingInfo, settings: &Settings, tracker: &TrackerSettings) -> Result<(), Error> {
+    let recording = info.name.clone();
+    let instead = match tracker.kind {
+        TrackerKind::ImuIcp => Some("icp"),
+        TrackerKind::ExtendedImu => Some("extended"),
+        _ => None,
+    };
+    if let Some(instead) = instead.filter(|_| !info.has_gyroscope && !info.has_imu_orientation) {
+        return Err(Error::NoInertialSensor { tracker: tracker.kind.name(), recording, instead });
+    }
+    let extended = &tracker.extended;
+    // Colour of the frame before will do for one, the map's is needed for the other.
+    let of_map_alone = match tracker.kind {
+        TrackerKind::Rgb => true,
+        TrackerKind::Extended | TrackerKind::ExtendedImu if !extended.use_depth => !extended.use_colour,
+        _ => return Ok(()),
+    };
+    let reason = if !info.has_colour {
+        format!("the recording '{recording}' has none")
+    } else if !settings.view.colour {
+        "view.colour is off".into()
+    } else if of_map_alone && !settings.map.colour {
+        "the map has none, as map.colour is off".into()
+    } else {
+        return Ok(());
+    };
+    Err(Error::NoColour { tracker: tracker.kind.name(), reason })
+}
+
+fn pose_files(tracker: &TrackerSettings) -> Result<PoseFiles, Error> {
+    let mask = &tracker.file.mask;
+    if mask.is_empty() {
+        return Err(Error::Settings(SettingsError::Value {
+            key: "tracker.file.mask",
+            expected: "a mask with the frame's number, as poses/%06d.txt, or a trajectory's file",
+            found: "''".into(),
+        }));
+    }
+    Ok(PoseFiles::new("".as_ref(), mask)?)
+}
+
+fn check_poses(recording: &dyn Recording, poses: &PoseFiles, mask: &str, range: &Range<usize>) -> Result<(), Error> {
+    for frame in range.clone() {
+        let time = match recording.timestamp(frame) {
+            Some(time) => time,
+            // What the frames' times are is only known as they are read.
+            None if poses.is_by_time() => return Ok(()),
+            None => Timestamp(0),
+        };
+        if poses.read(frame as u64, time)?.is_none() {
+            return Err(Error::NoPoseOfFrame { mask: mask.into(), frame });
+        }
+    }
+    Ok(())
+}
+
+/// Switches off the comparison of colours where there are none, and says so.
+fn without_colour(settings: &mut Settings, info: &RecordingInfo) {
+    let Settings { view, map, tracker, .. } = settings;
+    let extended = &mut tracker.extended;
+    let asked = extended.use_colour || extended.use_map_colour;
+    let live = info.has_colour && view.colour;
+    extended.use_colour &= live;
+    extended.use_map_colour &= live && map.colour;
+    let left = extended.use_colour || extended.use_map_colour;
+    if asked && !left {
+        let why = match (info.has_colour, view.colour) {
+            (false, _) => format!("the recording '{}' has no colour", info.name),
+            (true, false) => "view.colour is off".into(),
+            (true, true) => "map.colour is off".into(),
+        };
+        tracing::warn!("{why}: the tracker '{}' compares depth alone", tracker.kind.name());
+    }
+}
+
 impl Iterator for Session {
     type Item = Event;
 
@@ -187,6 +303,7 @@ impl Iterator for Session {
         match self.slam.process(&frame) {
             Ok(result) => {
                 self.summary.posed += usize::from(result.world_from_camera.is_some());
+                self.summary.poor += usize::from(matches!(result.status, FrameStatus::Poor { .. }));
                 self.summary.lost += usize::from(matches!(result.status, FrameStatus::Lost { .. }));
                 Some(Event::Frame { result, total_ms: started.elapsed().as_secs_f64() * 1e3 })
             }

@@ -322,7 +322,7 @@ impl Default for ImuSettings {
 #[serde(default, deny_unknown_fields)]
 pub struct FileSettings {
     /// A mask with the frame's number (`poses/%06d.txt`), each file a 4x4 matrix from camera to world, or a trajectory in
-    /// TUM format. A frame whose pose is missing counts as lost.
+    /// TUM format. A session refuses to start where a frame has none; in frames from elsewhere, such a one counts as lost.
     pub mask: String,
 }
 

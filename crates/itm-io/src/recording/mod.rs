@@ -165,6 +165,12 @@ pub trait Recording: Send {
     /// Where this frame cannot be read ([`Error::Frame`], with the file and the reason) or does not exist. Other
     /// frames may still be read.
     fn read(&mut self, index: usize) -> Result<Frame, Error>;
+
+    /// A frame's time, where it is known without decoding the frame.
+    fn timestamp(&self, index: usize) -> Option<Timestamp> {
+        let _unknown = index;
+        None
+    }
 }
 
 /// Opens a recording, and recognises its format from the folder unless `options` name it.
@@ -439,5 +445,9 @@ impl Recording for ImageFiles {
             imu_orientation,
             ..Frame::new(index as u64, files.timestamp, DepthImage::Raw(depth), colour)
         })
+    }
+
+    fn timestamp(&self, index: usize) -> Option<Timestamp> {
+        Some(self.frames.get(index)?.timestamp)
     }
 }
