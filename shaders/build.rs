@@ -16,7 +16,7 @@ use naga::{AddressSpace, ArraySize, Scalar, ScalarKind, StorageAccess, TypeInner
 /// Passes that come in several variants, each a set of features that the file's `@if(...)` ask for. All others have
 /// one variant without features.
 const VARIANTS: &[(&str, &[&[&str]])] = &[
-    ("integrate", &[&[], &["colour"]]),
+    ("integrate", &[&[], &["colour"], &["weighted"], &["colour", "weighted"]]),
     ("raycast", &[&[], &["pages2"], &["pages2", "pages3"], &["pages2", "pages3", "pages4"]]),
     ("mesh/vertices", &[&[], &["colour"]]),
     ("render/colour", &[&[], &["pages2"], &["pages2", "pages3"], &["pages2", "pages3", "pages4"]]),

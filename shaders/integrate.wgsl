@@ -22,10 +22,13 @@ struct Params {
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
 @group(0) @binding(2) var<storage, read> visible: array<u32>;
 @group(0) @binding(3) var<storage, read> keys: array<vec2<u32>>;
-@group(0) @binding(4) var<storage, read> depth: array<f32>;
+@if(!weighted) @group(0) @binding(4) var<storage, read> depth: array<f32>;
 @group(0) @binding(5) var<storage, read_write> distances: array<u32>;
 @if(colour) @group(0) @binding(6) var<storage, read> image: array<u32>;
 @if(colour) @group(0) @binding(7) var<storage, read_write> colours: array<u32>;
+// Depth, and how much it counts, a whole number of at least 1 (view/observations). One buffer in place of two, so that
+// there is room for another below the limit of eight.
+@if(weighted) @group(0) @binding(8) var<storage, read> observations: array<vec2<f32>>;
 
 @if(colour) fn texel(x: u32, y: u32) -> vec4<f32> {
     return unpack4x8unorm(image[y * params.colour_camera.size.x + x]) * 255.0;
@@ -96,7 +99,10 @@ fn main(
                 if any(pixel < vec2(0.0)) || any(pixel >= vec2<f32>(params.depth_camera.size)) {
                     continue;
                 }
-                let measured = depth[u32(pixel.y) * params.depth_camera.size.x + u32(pixel.x)];
+                let pixel_at = u32(pixel.y) * params.depth_camera.size.x + u32(pixel.x);
+                @if(!weighted) let measured = depth[pixel_at];
+                @if(weighted) let observation = observations[pixel_at];
+                @if(weighted) let measured = observation.x;
                 let eta = measured - p.z;
                 if measured <= 0.0 || eta < -params.map.truncation_m {
                     continue;
@@ -106,8 +112,15 @@ fn main(
                 let weight = unpack_weight(word);
                 if params.stop_at_max_weight == 0u || weight < params.max_weight {
                     let old = unpack_distance(word);
-                    let fused = old + (min(eta * per_mu, 1.0) - old) / f32(weight + 1u);
-                    distances[at] = pack_distance(fused, min(weight + 1u, params.max_weight));
+                    @if(!weighted) {
+                        let fused = old + (min(eta * per_mu, 1.0) - old) / f32(weight + 1u);
+                        distances[at] = pack_distance(fused, min(weight + 1u, params.max_weight));
+                    }
+                    @if(weighted) {
+                        let more = u32(observation.y);
+                        let fused = old + (min(eta * per_mu, 1.0) - old) * observation.y / f32(weight + more);
+                        distances[at] = pack_distance(fused, min(weight + more, params.max_weight));
+                    }
                 }
                 @if(colour) {
                     if abs(eta * per_mu) <= params.colour_band {

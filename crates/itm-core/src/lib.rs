@@ -29,7 +29,7 @@ pub use mesh::Mesh;
 pub use se3::{PoseError, Se3};
 pub use settings::{
     BilateralSettings, CompositePolicy, CompositeSettings, DepthWeight, DeviceSettings, ExtendedSettings, FileSettings,
-    IcpSettings, ImuSettings, MapSettings, OnFailure, RgbSettings, Settings, SettingsError, TrackerKind,
-    TrackerSettings, VerdictSettings, ViewSettings,
+    IcpSettings, ImuSettings, MapSettings, ObservationWeight, OnFailure, RgbSettings, Settings, SettingsError,
+    TrackerKind, TrackerSettings, VerdictSettings, ViewSettings,
 };
 pub use trajectory::{StampedPose, Trajectory};

@@ -10,6 +10,9 @@ use glam::IVec3;
 pub const BLOCK_SIDE: i32 = 8;
 /// Voxels in a block.
 pub const BLOCK_VOXELS: usize = 512;
+/// What the best observation adds to a distance's weight, where observations count by their noise; the least one adds 1, as
+/// every one does where all count alike.
+pub const BEST_OBSERVATION: u16 = 16;
 
 /// Where a block lies: a submap and the block's corner, in blocks. Packs into 64 bits, 16 for each part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -60,7 +63,7 @@ impl DistanceVoxel {
         1.0 - (self.0 & 0xffff) as f32 * (1.0 / 32767.5)
     }
 
-    /// Number of observations, up to the largest weight.
+    /// Number of observations, each as many times as it counts, up to the largest weight.
     pub fn weight(self) -> u16 {
         (self.0 >> 16) as u16
     }

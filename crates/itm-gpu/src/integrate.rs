@@ -11,7 +11,8 @@ use crate::{BlockMap, Device, Recorder, View};
 /// How observations are fused.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IntegrateOptions {
-    /// Largest weight.
+    /// Largest weight. Where the view has weights by noise, an observation adds up to
+    /// [`itm_core::voxel::BEST_OBSERVATION`] to it.
     pub max_weight: u16,
     /// Whether voxels at the largest weight are left as they are.
     pub stop_at_max_weight: bool,
@@ -22,16 +23,16 @@ pub struct IntegrateOptions {
 /// The stage's pipelines.
 #[derive(Debug)]
 pub struct Integrate {
-    depth: Pipeline,
-    depth_and_colour: Pipeline,
+    /// By whether colour is fused, and whether observations have weights of their own.
+    variants: [[Pipeline; 2]; 2],
 }
 
 impl Integrate {
     /// Compiles the stage.
     pub fn new(device: &Device) -> Self {
         Self {
-            depth: Pipeline::plain(device, &integrate::PASS),
-            depth_and_colour: Pipeline::new(device, &integrate::PASS, &["colour"], &[]),
+            variants: [[&[][..], &["weighted"]], [&["colour"], &["colour", "weighted"]]]
+                .map(|row| row.map(|features| Pipeline::new(device, &integrate::PASS, features, &[]))),
         }
     }
 
@@ -48,7 +49,8 @@ impl Integrate {
         recorder.stage("integrate");
         let camera_from_world = world_from_camera.inverse();
         let colour = view.colour().filter(|_| map.layout().colour);
-        let pipeline = if colour.is_some() { &self.depth_and_colour } else { &self.depth };
+        let observations = view.observations();
+        let pipeline = &self.variants[usize::from(colour.is_some())][usize::from(observations.is_some())];
         for (distances, page) in map.distances.iter().zip(0..) {
             let bindings = integrate::Bindings {
                 params: integrate::Params {
@@ -65,7 +67,8 @@ impl Integrate {
                 counters: &map.counters,
                 visible: &map.visible,
                 keys: &map.keys,
-                depth: view.depth(),
+                depth: observations.is_none().then(|| view.depth()),
+                observations,
                 distances,
                 image: colour,
                 colours: map.colours.get(page as usize),

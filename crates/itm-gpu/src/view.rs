@@ -21,6 +21,9 @@ pub struct ViewOptions {
     pub vertices: bool,
     /// Levels of the colour pyramid, the finest included; at least 1.
     pub colour_levels: usize,
+    /// Whether each pixel's depth has a weight for fusion, from 1 to [`itm_core::voxel::BEST_OBSERVATION`], by the
+    /// sensor's noise; without, every observation counts one.
+    pub observation_weights: bool,
 }
 
 /// A frame on the device.
@@ -33,6 +36,8 @@ pub struct View {
     distorted_colour: Option<wgpu::Buffer>,
     depth: Vec<(Intrinsics, wgpu::Buffer)>,
     vertices: Option<(wgpu::Buffer, wgpu::Buffer)>,
+    /// Depth and its weight.
+    observations: Option<wgpu::Buffer>,
     /// Empty until the first frame with colour comes.
     colour: Vec<(Intrinsics, wgpu::Buffer)>,
     has_colour: bool,
@@ -59,6 +64,7 @@ impl View {
             vertices: options
                 .vertices
                 .then(|| (image("vertices", depth_camera, 16), image("view normals", depth_camera, 16))),
+            observations: options.observation_weights.then(|| image("observations", depth_camera, 8)),
             distorted_colour: None,
             colour: Vec::new(),
             has_colour: false,
@@ -78,6 +84,11 @@ impl View {
     /// Depth in metres at full resolution, 0 where there is none.
     pub(crate) fn depth(&self) -> &wgpu::Buffer {
         &self.depth[0].1
+    }
+
+    /// Depth in metres and its weight, where the view was made with weights.
+    pub(crate) fn observations(&self) -> Option<&wgpu::Buffer> {
+        self.observations.as_ref()
     }
 
     pub(crate) fn level_depth(&self, level: usize) -> &wgpu::Buffer {
@@ -118,6 +129,15 @@ impl View {
         self.vertices.as_ref().map(|(v, n)| Ok((read(device, v, camera)?, read(device, n, camera)?))).transpose()
     }
 
+    /// Reads depth (metres, 0 where there is none) and its weight in fusion back; `None` where the view was made without.
+    /// Waits. For tests, exports and pictures.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read_observations(&self, device: &Device) -> Result<Option<Image<[f32; 2]>>, Error> {
+        self.observations.as_ref().map(|o| read(device, o, &self.calibration.depth)).transpose()
+    }
+
     /// Reads a level of the colour pyramid back, undistorted; `None` where the frame has no colour. Waits. For tests, exports
     /// and pictures.
     ///
@@ -144,6 +164,7 @@ pub struct ViewStage {
     bilateral: Pipeline,
     halve_depth: Pipeline,
     vertices: Pipeline,
+    observations: Pipeline,
     halve_colour: Pipeline,
 }
 
@@ -162,6 +183,7 @@ impl ViewStage {
             bilateral: Pipeline::plain(device, &view::bilateral::PASS),
             halve_depth: Pipeline::plain(device, &view::halve_depth::PASS),
             vertices: Pipeline::plain(device, &view::vertices::PASS),
+            observations: Pipeline::plain(device, &view::observations::PASS),
             halve_colour: Pipeline::plain(device, &view::halve_colour::PASS),
         }
     }
@@ -264,6 +286,16 @@ impl ViewStage {
             };
             let bindings = view::vertices::Bindings { params, depth: view.depth(), vertices, normals };
             recorder.dispatch(&self.vertices, &bindings, Groups::image((camera.width, camera.height), (64, 1)));
+        }
+        if let Some(observations) = &view.observations {
+            let params = view::observations::Params {
+                camera: camera_params(&camera, options.depth_range_m),
+                reach_m: DEPTH_EDGE_M,
+                unused_a: 0,
+                unused_b: [0; 2],
+            };
+            let bindings = view::observations::Bindings { params, depth: view.depth(), observations };
+            recorder.dispatch(&self.observations, &bindings, Groups::image((camera.width, camera.height), (64, 1)));
         }
     }
 

@@ -44,8 +44,14 @@ fn a_hosts_own_device_runs_the_stages() {
 
     let camera = Intrinsics::new(5, 3, 5.0, 5.0, 2.0, 1.0);
     let calibration = Calibration::registered(camera, DepthConversion::MILLIMETRES);
-    let options =
-        ViewOptions { depth_range_m: [0.2, 3.0], bilateral_passes: 0, levels: 1, vertices: false, colour_levels: 1 };
+    let options = ViewOptions {
+        depth_range_m: [0.2, 3.0],
+        bilateral_passes: 0,
+        levels: 1,
+        vertices: false,
+        observation_weights: false,
+        colour_levels: 1,
+    };
     let mut view = View::new(&shared, &calibration, &options);
     let frame = Frame::new(0, Timestamp(0), DepthImage::Raw(Image::filled(5, 3, 1500)), None);
     let mut recorder = Recorder::new(&shared);

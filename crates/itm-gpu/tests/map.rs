@@ -10,7 +10,7 @@ use glam::{DVec3, IVec3};
 use itm_core::voxel::{BLOCK_VOXELS, BlockKey, DistanceVoxel};
 use itm_core::{Calibration, DepthConversion, Frame, Image, Intrinsics, Se3};
 use itm_gpu::integrate::IntegrateOptions;
-use itm_gpu::{HostBlock, Recorder, reference};
+use itm_gpu::{HostBlock, Recorder, View, reference};
 use proptest::prelude::*;
 
 /// Positions along a ray of up to 5 m carry a few roundings of 2.4e-7 m each; in blocks of 8 cm and more that is less than
@@ -125,6 +125,7 @@ proptest! {
         stop_at_max_weight: bool,
         shifted_colour: bool,
         gaps: bool,
+        weighted: bool,
     ) {
         let Some(gpu) = common::gpu() else { return Ok(()) };
         let depth_camera = common::camera(size.0, size.1);
@@ -139,6 +140,10 @@ proptest! {
         };
         let mut fusion = Fusion::with_calibration(gpu, calibration, 0.04, true, 4_000);
         fusion.options = IntegrateOptions { max_weight, stop_at_max_weight, ..OPTIONS };
+        if weighted {
+            fusion.view_options.observation_weights = true;
+            fusion.view = View::new(&gpu.device, &calibration, &fusion.view_options);
+        }
         for (pose, i) in poses.iter().zip(0..) {
             // One frame without colour among those with.
             let image = (colour && i != 1).then(|| {
@@ -156,8 +161,13 @@ proptest! {
             let keys = fusion.keys();
             let visible: Vec<IVec3> = fusion.visible(gpu).iter().map(|i| keys[*i as usize].position).collect();
             let depth = fusion.view.read_depth(&gpu.device, 0).unwrap();
+            let weights = fusion.view.read_observations(&gpu.device).unwrap().map(|observations| {
+                Image::from_fn(observations.width(), observations.height(), |x, y| observations[(x, y)][1] as u16)
+            });
+            prop_assert_eq!(weights.is_some(), weighted);
             let observation = reference::integrate::Observation {
                 depth: &depth,
+                weights: weights.as_ref(),
                 colour: frame.colour.as_ref(),
                 calibration: &calibration,
                 world_from_camera: pose,

@@ -14,8 +14,14 @@ const RANGE_M: [f32; 2] = [0.3, 4.0];
 /// What the stage takes for a depth edge, in metres.
 const EDGE_M: f32 = 0.1;
 
-const OPTIONS: ViewOptions =
-    ViewOptions { depth_range_m: RANGE_M, bilateral_passes: 0, levels: 5, vertices: true, colour_levels: 4 };
+const OPTIONS: ViewOptions = ViewOptions {
+    depth_range_m: RANGE_M,
+    bilateral_passes: 0,
+    levels: 5,
+    vertices: true,
+    observation_weights: true,
+    colour_levels: 4,
+};
 
 fn run(device: &Device, calibration: &Calibration, frame: &Frame, options: &ViewOptions) -> View {
     let mut view = View::new(device, calibration, options);
@@ -119,6 +125,15 @@ proptest! {
         prop_assert_eq!(&depth, &reference::view::clip_depth(metres, RANGE_M));
 
         check_vertices(&view.read_vertices(device).unwrap().unwrap(), &depth, &calibration.depth)?;
+        let observations = view.read_observations(device).unwrap().unwrap();
+        let weights = reference::view::observation_weights(&depth, &calibration.depth, EDGE_M);
+        for ((z, [seen, weight]), expected) in depth.data().iter().zip(observations.data()).zip(weights.data()) {
+            prop_assert_eq!(z, seen);
+            // Rounded to whole numbers. Differences of positions between pixels a few millimetres apart carry a relative
+            // 1e-4 of rounding.
+            prop_assert!((f64::from(*weight) - expected).abs() <= 0.5 + 16.0 * 1e-3, "{weight} but {expected} at {z} m");
+            prop_assert!(weight.fract() == 0.0 && (1.0..=16.0).contains(weight));
+        }
 
         for level in 1..OPTIONS.levels {
             let halved = view.read_depth(device, level).unwrap();

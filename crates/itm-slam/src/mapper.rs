@@ -2,7 +2,8 @@
 
 use std::collections::VecDeque;
 
-use itm_core::{Calibration, Intrinsics, Se3, Settings};
+use itm_core::voxel::BEST_OBSERVATION;
+use itm_core::{Calibration, Intrinsics, ObservationWeight, Se3, Settings};
 use itm_gpu::allocate::Allocate;
 use itm_gpu::integrate::{Integrate, IntegrateOptions};
 use itm_gpu::normals::Normals;
@@ -177,8 +178,13 @@ impl Mapper {
         self.allocate.record(&mut recorder, &self.map, view, world_from_camera);
         let (near, far) = (f32::max(near_m - truncation_m, 0.0), far_m + truncation_m);
         self.visible.record(&mut recorder, &self.map, &camera, world_from_camera, near, far);
+        // A largest weight of so many of the best observations.
+        let best = match self.settings.map.observation_weight {
+            ObservationWeight::Constant => 1,
+            ObservationWeight::Noise => BEST_OBSERVATION,
+        };
         let options = IntegrateOptions {
-            max_weight: self.settings.map.max_weight,
+            max_weight: self.settings.map.max_weight.saturating_mul(best),
             stop_at_max_weight: self.settings.map.stop_at_max_weight,
             colour_band: self.settings.map.colour_band,
         };

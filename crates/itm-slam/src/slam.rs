@@ -3,7 +3,10 @@
 use std::ops::Range;
 
 use itm_core::StampedPose;
-use itm_core::{Calibration, ColourImage, Frame, Intrinsics, Mesh, OnFailure, Se3, Settings, Timestamp, Trajectory};
+use itm_core::{
+    Calibration, ColourImage, Frame, Intrinsics, Mesh, ObservationWeight, OnFailure, Se3, Settings, Timestamp,
+    Trajectory,
+};
 use itm_gpu::evaluate::{ColourTerm, Compared, Evaluator};
 use itm_gpu::mesh::Extract;
 use itm_gpu::photometric::PointList;
@@ -154,6 +157,7 @@ impl Slam {
             bilateral_passes: settings.view.bilateral.passes,
             levels: needs.levels,
             vertices: false,
+            observation_weights: settings.map.observation_weight == ObservationWeight::Noise,
             colour_levels: needs.lists.iter().flatten().map(|range| range.end).max().unwrap_or(1),
         };
         let model = RaycastImage::new(device, calibration.depth)?;

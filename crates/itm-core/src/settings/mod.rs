@@ -6,9 +6,10 @@ mod tracker_string;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::voxel::BEST_OBSERVATION;
 pub use tracker::{
-    CompositePolicy, CompositeSettings, DepthWeight, ExtendedSettings, FileSettings, IcpSettings, ImuSettings, OnFailure,
-    RgbSettings, TrackerKind, TrackerSettings, VerdictSettings,
+    CompositePolicy, CompositeSettings, DepthWeight, ExtendedSettings, FileSettings, IcpSettings, ImuSettings,
+    OnFailure, RgbSettings, TrackerKind, TrackerSettings, VerdictSettings,
 };
 
 /// All settings of a run.
@@ -62,7 +63,14 @@ pub struct ViewSettings {
 
 impl Default for ViewSettings {
     fn default() -> Self {
-        Self { min_depth_m: 0.2, max_depth_m: 3.0, bilateral: BilateralSettings::default(), colour: true, colour_times: true, colour_delay_s: 0.0 }
+        Self {
+            min_depth_m: 0.2,
+            max_depth_m: 3.0,
+            bilateral: BilateralSettings::default(),
+            colour: true,
+            colour_times: true,
+            colour_delay_s: 0.0,
+        }
     }
 }
 
@@ -83,8 +91,11 @@ pub struct MapSettings {
     pub voxel_size_m: f32,
     /// Truncation band mu: distances are kept up to this many metres from a surface.
     pub truncation_m: f32,
-    /// Observations after which a voxel's weight stops growing, at most 65535. A low one follows changes sooner.
+    /// Observations after which a voxel's weight stops growing, at most 65535, or 4095 where `observation_weight` is
+    /// `noise`. A low one follows changes sooner.
     pub max_weight: u16,
+    /// How much an observation counts in a voxel's mean.
+    pub observation_weight: ObservationWeight,
     /// Whether voxels at the largest weight are left as they are.
     pub stop_at_max_weight: bool,
     /// Whether voxels hold colour, where the recording has it.
@@ -103,6 +114,7 @@ impl Default for MapSettings {
             voxel_size_m: 0.005,
             truncation_m: 0.02,
             max_weight: 100,
+            observation_weight: ObservationWeight::Constant,
             stop_at_max_weight: false,
             colour: true,
             colour_band: 0.25,
@@ -110,6 +122,25 @@ impl Default for MapSettings {
             max_blocks: 0,
         }
     }
+}
+
+/// How much an observation counts in a voxel's mean.
+///
+/// Voxels add the weights up in the 16 bits that otherwise count observations. A unit is the least observation, so that
+/// whatever was seen has a weight, and everything that asks for at least so many observations (tracking, meshing) is never
+/// harder to please than with constant weights; where the unit was the best observation, far surfaces were too little
+/// trusted to be tracked by. The price: such a threshold may be met by fewer observations, and meshes' weights count
+/// least observations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ObservationWeight {
+    /// One, whatever it is.
+    #[default]
+    Constant,
+    /// `16 (σ(0.4) / σ(z))² cos θ`, rounded, at least 1: by the variance of a Kinect's depth, σ(z) = 0.0012 + 0.0019 (z -
+    /// 0.4)² metres (Nguyen et al. 2012), and the angle θ between ray and surface normal (Newcombe et al. 2011,
+    /// section 3.3). The largest weight, `map.max_weight`, counts the best observations then.
+    Noise,
 }
 
 /// Why settings cannot be used.
@@ -244,6 +275,12 @@ impl Settings {
             map.truncation_m,
         )?;
         check(map.max_weight >= 1, "map.max_weight", "at least 1", map.max_weight)?;
+        check(
+            map.observation_weight == ObservationWeight::Constant || map.max_weight <= u16::MAX / BEST_OBSERVATION,
+            "map.max_weight",
+            "at most 4095 where map.observation_weight is noise",
+            map.max_weight,
+        )?;
         check(in_range(map.colour_band, 0.0, 1.0), "map.colour_band", "between 0 and 1", map.colour_band)?;
         check(
             (1..=1 << 24).contains(&map.initial_blocks),
@@ -255,12 +292,7 @@ impl Settings {
     }
 }
 
-fn check(
-    ok: bool,
-    key: &'static str,
-    expected: &'static str,
-    found: impl ToString,
-) -> Result<(), SettingsError> {
+fn check(ok: bool, key: &'static str, expected: &'static str, found: impl ToString) -> Result<(), SettingsError> {
     if ok { Ok(()) } else { Err(SettingsError::Value { key, expected, found: found.to_string() }) }
 }
 
@@ -329,6 +361,7 @@ mod tests {
             "view.min_depth_m=-1.0",
             "tracker.icp.levels=rx",
             "map.initial_blocks=0",
+            "map={max_weight=4096, observation_weight='noise'}",
         ] {
             let error = Settings::resolve(None, &[bad.into()]).unwrap_err();
             assert!(matches!(error, SettingsError::Value { .. }), "{bad}: {error}");

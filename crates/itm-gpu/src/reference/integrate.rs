@@ -13,6 +13,8 @@ use crate::integrate::IntegrateOptions;
 pub struct Observation<'a> {
     /// Metres, 0 where there is none.
     pub depth: &'a Image<f32>,
+    /// How much each pixel's depth counts, where not all count one.
+    pub weights: Option<&'a Image<u16>>,
     /// Colour, if any.
     pub colour: Option<&'a ColourImage>,
     /// Both cameras.
@@ -28,13 +30,15 @@ pub fn integrate(map: &mut Map, visible: &[IVec3], observation: &Observation<'_>
         let Some(block) = map.blocks.get_mut(position) else { continue };
         for at in 0..BLOCK_VOXELS {
             let point_world = voxel_in_map(*position, at).as_dvec3() * voxel_size;
-            let Some((_, eta)) = signed_distance(observation, point_world) else { continue };
+            let Some((pixel, eta)) = signed_distance(observation, point_world) else { continue };
             if eta < -truncation {
                 // Hidden behind the surface: nothing is known of it.
                 continue;
             }
             let relative = eta / truncation;
-            block.distances[at] = fuse_distance(block.distances[at], relative, options);
+            let nearest = (pixel + 0.5).floor();
+            let weight = observation.weights.map_or(1, |weights| weights[(nearest.x as u32, nearest.y as u32)]);
+            block.distances[at] = fuse_distance(block.distances[at], relative, weight, options);
             if relative.abs() <= f64::from(options.colour_band)
                 && let Some((_, colour)) = observed_colour(observation, point_world)
             {
@@ -87,16 +91,16 @@ pub fn observed_colour(observation: &Observation<'_>, point_world: DVec3) -> Opt
     Some((pixel, upper.lerp(lower, f.y)))
 }
 
-/// A voxel after one more observation of its distance (in truncation bands, positive in front): the running mean, each
-/// observation counting one.
-pub fn fuse_distance(voxel: DistanceVoxel, observed: f64, options: &IntegrateOptions) -> DistanceVoxel {
+/// A voxel after one more observation of its distance (in truncation bands, positive in front): the running mean, in
+/// which this observation counts `more`.
+pub fn fuse_distance(voxel: DistanceVoxel, observed: f64, more: u16, options: &IntegrateOptions) -> DistanceVoxel {
     let weight = voxel.weight();
     if options.stop_at_max_weight && weight >= options.max_weight {
         return voxel;
     }
     let old = f64::from(voxel.distance());
-    let mean = old + (observed.min(1.0) - old) / (f64::from(weight) + 1.0);
-    DistanceVoxel::new(mean as f32, weight.saturating_add(1).min(options.max_weight))
+    let mean = old + (observed.min(1.0) - old) * f64::from(more) / (f64::from(weight) + f64::from(more));
+    DistanceVoxel::new(mean as f32, weight.saturating_add(more).min(options.max_weight))
 }
 
 /// A voxel after one more observation of its colour (0 to 255): the running mean, rounded to bytes. Where the mean would
@@ -133,16 +137,28 @@ mod tests {
     fn distances_become_their_mean_until_the_weight_is_full() {
         let mut voxel = DistanceVoxel::default();
         for (observed, mean) in [(0.4, 0.4), (0.0, 0.2), (2.0, 1.4 / 3.0)] {
-            voxel = fuse_distance(voxel, observed, &OPTIONS);
+            voxel = fuse_distance(voxel, observed, 1, &OPTIONS);
             assert!((f64::from(voxel.distance()) - mean).abs() < 1e-4);
         }
         for _ in 0..3 {
-            voxel = fuse_distance(voxel, 0.0, &OPTIONS);
+            voxel = fuse_distance(voxel, 0.0, 1, &OPTIONS);
         }
         assert_eq!(voxel.weight(), 4);
-        let stopped = fuse_distance(voxel, 1.0, &IntegrateOptions { stop_at_max_weight: true, ..OPTIONS });
+        let stopped = fuse_distance(voxel, 1.0, 1, &IntegrateOptions { stop_at_max_weight: true, ..OPTIONS });
         assert_eq!(stopped, voxel);
-        assert_ne!(fuse_distance(voxel, 1.0, &OPTIONS), voxel);
+        assert_ne!(fuse_distance(voxel, 1.0, 1, &OPTIONS), voxel);
+    }
+
+    #[test]
+    fn weighted_distances_become_their_weighted_mean() {
+        let options = IntegrateOptions { max_weight: 100, ..OPTIONS };
+        let mut voxel = DistanceVoxel::default();
+        for (observed, weight) in [(0.4, 16), (-0.2, 1), (0.1, 5)] {
+            voxel = fuse_distance(voxel, observed, weight, &options);
+        }
+        let mean = (0.4 * 16.0 - 0.2 + 0.1 * 5.0) / 22.0;
+        assert!((f64::from(voxel.distance()) - mean).abs() < 1e-4);
+        assert_eq!(voxel.weight(), 22);
     }
 
     #[test]

@@ -260,6 +260,7 @@ impl Fusion {
             bilateral_passes: 0,
             levels: 3,
             vertices: false,
+            observation_weights: false,
             colour_levels: 1,
         };
         let layout = MapLayout { voxel_size_m, truncation_m: 4.0 * voxel_size_m, colour };
