@@ -65,7 +65,7 @@ impl Default for ViewSettings {
     fn default() -> Self {
         Self {
             min_depth_m: 0.2,
-            max_depth_m: 3.0,
+            max_depth_m: 4.0,
             bilateral: BilateralSettings::default(),
             colour: true,
             colour_times: true,

@@ -186,7 +186,7 @@ pub struct ExtendedSettings {
     /// How much the colour terms count beside depth, each being measured in its own standard deviations.
     pub colour_weight: f64,
     /// Where depth alone determines every direction of motion this well (in the measure of `tracker.min_information`), colour
-    /// counts a quarter; better, still less; 0 for colour that always counts alike.
+    /// counts a sixteenth; where better, less still: `1 / (1 + (information / this)²)⁴`. 0 for colour that always counts alike.
     pub enough_information: f64,
     /// Whether a gain and an offset between the images compared are estimated with the pose, as a camera's automatic
     /// exposure changes them.
@@ -237,7 +237,7 @@ impl Default for ExtendedSettings {
             use_depth: true,
             use_colour: true,
             use_map_colour: false,
-            colour_weight: 0.3,
+            colour_weight: 6.0,
             enough_information: 0.004,
             estimate_exposure: true,
             finest_colour_level: 1,

@@ -155,7 +155,7 @@ impl NormalEquations {
         };
         let of_depth = Evaluation { colour: [None; 2], ..*evaluation };
         let information = Self::new(&of_depth, request, plan, noise, 0.0).information()[0].max(0.0);
-        plan.colour_weight / (1.0 + (information / enough).powi(2)).powi(2)
+        plan.colour_weight / (1.0 + (information / enough).powi(2)).powi(4)
     }
 
     /// How well each direction of motion is determined, least first: eigenvalues of the Hessian for a pair's weight, with
