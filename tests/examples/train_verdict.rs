@@ -102,7 +102,13 @@ fn samples(device: &Device, spec: Spec, every: u32, voxel_size_m: f32, random: &
         poses.push(truth);
     }
     let wrong = out[before..].iter().filter(|s| s.wrong).count();
-    println!("{} ({}x{}): {} samples, {wrong} wrong", spec.path, spec.camera.width, spec.camera.height, out.len() - before);
+    println!(
+        "{} ({}x{}): {} samples, {wrong} wrong",
+        spec.path,
+        spec.camera.width,
+        spec.camera.height,
+        out.len() - before
+    );
 }
 
 /// Logistic regression by Newton's method, with a penalty on the weights.
@@ -177,7 +183,8 @@ fn train(device: &Device, to: &FilePath) {
     let good_below = quantile(&mut chances(true), 0.004).min(0.5);
     let lost_above = quantile(&mut chances(false), 0.998).max(good_below).max(0.9);
     (classifier.good_below, classifier.lost_above) = (good_below, lost_above);
-    let share = |v: Vec<f64>, f: &dyn Fn(f64) -> bool| 100.0 * v.iter().filter(|c| f(**c)).count() as f64 / v.len() as f64;
+    let share =
+        |v: Vec<f64>, f: &dyn Fn(f64) -> bool| 100.0 * v.iter().filter(|c| f(**c)).count() as f64 / v.len() as f64;
     println!(
         "trained on {} samples, {} wrong: good up to {good_below:.3}, lost above {lost_above:.3}; of the wrong {:.2} % are called \
          good, of the right {:.2} % poor or lost, {:.2} % lost",
@@ -213,7 +220,8 @@ impl Counts {
     }
 
     fn print(&self, name: &str) {
-        let share = |a: usize, b: usize| if b == 0 { String::from("-") } else { format!("{:.1}", 100.0 * a as f64 / b as f64) };
+        let share =
+            |a: usize, b: usize| if b == 0 { String::from("-") } else { format!("{:.1}", 100.0 * a as f64 / b as f64) };
         let called_bad = self.off - self.off_but_good;
         let flagged = called_bad + self.right_but_poor + self.right_but_lost;
         println!(
@@ -230,7 +238,12 @@ impl Counts {
 
 /// Runs a recording as a user would. A frame's error is that of its motion since the last frame with a good verdict: the
 /// frame's own estimate, whatever was made of it.
-fn measure(device: &Device, recording: &mut dyn Recording, settings: &Settings, wrong_start: Option<(usize, Se3)>) -> Counts {
+fn measure(
+    device: &Device,
+    recording: &mut dyn Recording,
+    settings: &Settings,
+    wrong_start: Option<(usize, Se3)>,
+) -> Counts {
     let info = recording.info().clone();
     let mut settings = settings.clone();
     settings.map.colour &= info.has_colour;
@@ -282,13 +295,20 @@ fn count(counts: &mut Counts, metres: f64, radians: f64, verdict: &str) {
 }
 
 fn evaluate(device: &Device) {
-    println!("| recording | frames | off | of these poor or lost, % | of poor or lost these, % | right but poor, % | right but lost, % |");
+    println!(
+        "| recording | frames | off | of these poor or lost, % | of poor or lost these, % | right but poor, % | right but lost, % |"
+    );
     println!("| --- | --- | --- | --- | --- | --- | --- |");
     let mut total = Counts::default();
     let mut run = |name: &str, spec: Spec, frames: u32, wrong_start: Option<(usize, Se3)>| {
         let spec = Spec { frames: spec.frames.min(frames), ..spec };
         let mut recording = InMemory::new(Sequence::new(spec).unwrap());
-        let counts = measure(device, &mut recording, &Settings { view: Settings::default().view, ..settings(0.01) }, wrong_start);
+        let counts = measure(
+            device,
+            &mut recording,
+            &Settings { view: Settings::default().view, ..settings(0.01) },
+            wrong_start,
+        );
         counts.print(name);
         total.add(&counts);
     };

@@ -12,8 +12,7 @@ fn small() -> Settings {
     settings.map.voxel_size_m = 0.02;
     settings.map.truncation_m = 0.08;
     settings.map.initial_blocks = 256;
-    settings.tracker.icp.levels = "bbb".into();
-    settings.tracker.icp.min_inliers = 200;
+    settings.tracker.extended.levels = "bbb".into();
     settings
 }
 

@@ -246,12 +246,12 @@ impl Default for ExtendedSettings {
             min_step: 1e-4,
             max_plane_distance_coarse_m: 0.1,
             max_plane_distance_fine_m: 0.02,
-            huber_share: 0.5,
+            huber_share: 0.25,
             depth_weight: DepthWeight::Noise,
             max_colour_difference_coarse: 0.175,
             max_colour_difference_fine: 0.1,
             tukey_cutoff: 4.7,
-            min_colour_gradient: 0.01,
+            min_colour_gradient: 0.004,
             frames_to_skip: 20,
             frames_to_weight: 50,
             full_confidence: 10,
@@ -471,7 +471,8 @@ impl TrackerSettings {
             verdict.good_below,
         )?;
         check(
-            (0.0..=1.0).contains(&verdict.lost_above) && (verdict.lost_above == 0.0 || verdict.lost_above >= verdict.good_below),
+            (0.0..=1.0).contains(&verdict.lost_above)
+                && (verdict.lost_above == 0.0 || verdict.lost_above >= verdict.good_below),
             "tracker.verdict.lost_above",
             "0, or between tracker.verdict.good_below and 1",
             verdict.lost_above,

@@ -270,8 +270,14 @@ pub(crate) const OPTIONS: IntegrateOptions =
 pub(crate) const RANGE_M: [f32; 2] = [0.2, 4.0];
 
 /// What views hold: three levels of each pyramid.
-pub(crate) const VIEW_OPTIONS: ViewOptions =
-    ViewOptions { depth_range_m: RANGE_M, bilateral_passes: 0, levels: 3, vertices: false, observation_weights: false, colour_levels: 3 };
+pub(crate) const VIEW_OPTIONS: ViewOptions = ViewOptions {
+    depth_range_m: RANGE_M,
+    bilateral_passes: 0,
+    levels: 3,
+    vertices: false,
+    observation_weights: false,
+    colour_levels: 3,
+};
 
 /// A map on the device and what fills it.
 #[derive(Debug)]

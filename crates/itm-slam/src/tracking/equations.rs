@@ -74,13 +74,7 @@ fn largest_depth_error(term: &DepthTerm) -> f64 {
 impl NormalEquations {
     /// The equations of an evaluation; each term is measured in its own standard deviations.
     /// `colour_weight` is how much colour counts beside depth.
-    pub fn new(
-        evaluation: &Evaluation,
-        request: &Request,
-        plan: &Plan,
-        noise: &Noise,
-        colour_weight: f64,
-    ) -> Self {
+    pub fn new(evaluation: &Evaluation, request: &Request, plan: &Plan, noise: &Noise, colour_weight: f64) -> Self {
         let mut equations = Self {
             hessian: Matrix6::zeros(),
             gradient: Vector6::zeros(),

@@ -12,7 +12,7 @@ use itm_gpu::DepthSums;
 use itm_gpu::icp::DepthTerm;
 use serde::{Deserialize, Serialize};
 
-use super::{Evaluation, NormalEquations, Noise, Plan, Request};
+use super::{Evaluation, Noise, NormalEquations, Plan, Request};
 
 /// Whether a pose can be relied on; better ones are less.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -160,7 +160,8 @@ impl Features {
         }
         let evaluation = Evaluation { depth: Some(*sums), colour: [None; 2] };
         let plan = Plan::of_check();
-        let equations = NormalEquations::new(&evaluation, &check(0), &plan, &Noise { depth_m: 1.0, ..Noise::default() }, 0.0);
+        let equations =
+            NormalEquations::new(&evaluation, &check(0), &plan, &Noise { depth_m: 1.0, ..Noise::default() }, 0.0);
         let valid = f64::from(sums.valid);
         let (count, in_front, behind) = (f64::from(sums.count), f64::from(sums.in_front), f64::from(sums.behind));
         let jump = expected.inverse() * *pose;
@@ -222,9 +223,7 @@ impl Classifier {
 
     /// Features as multiples of their standard deviations from their means.
     pub fn standardise(&self, features: &Features) -> [f64; FEATURES] {
-        std::array::from_fn(|i| {
-            ((features.0[i] - self.mean[i]) / self.scale[i]).clamp(-LARGEST_SCORE, LARGEST_SCORE)
-        })
+        std::array::from_fn(|i| ((features.0[i] - self.mean[i]) / self.scale[i]).clamp(-LARGEST_SCORE, LARGEST_SCORE))
     }
 
     /// The chance that a pose is wrong by more than 5 cm or 5 degrees.
