@@ -11,6 +11,7 @@ mod demo;
 mod distribution;
 mod setup;
 mod steps;
+mod verdict;
 mod vulkan;
 
 use std::path::{Path, PathBuf};
@@ -41,6 +42,17 @@ enum Task {
     Demo(DemoArguments),
     /// Measure every tracker and extension on synthetic and real recordings, and write docs/ACCURACY.md's tables
     Accuracy(AccuracyArguments),
+    /// Train the classifier of tracking's verdicts (assets/verdict.toml), and measure it on other recordings
+    TrainVerdict(TrainArguments),
+}
+
+#[derive(Args)]
+struct TrainArguments {
+    #[command(flatten)]
+    setup: SetupArguments,
+    /// Leave the classifier as it is, and only measure it
+    #[arg(long)]
+    measure: bool,
 }
 
 #[derive(Args)]
@@ -108,6 +120,7 @@ fn run() -> Result<()> {
         Task::Test(arguments) => checks::test(arguments.setup.installing(), arguments.keep_going),
         Task::Ci(arguments) => checks::ci(arguments.setup.installing(), arguments.keep_going),
         Task::Demo(arguments) => demo::demo(arguments.setup.installing(), arguments.frames, arguments.out.as_deref()),
+        Task::TrainVerdict(arguments) => verdict::train(arguments.setup.installing(), arguments.measure),
         Task::Accuracy(AccuracyArguments { setup, data, quick, only }) => {
             accuracy::accuracy(setup.installing(), data.as_deref(), quick, &only)
         }

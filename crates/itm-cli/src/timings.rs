@@ -278,6 +278,7 @@ mod tests {
     fn what_tracking_found_is_in_the_row_and_reasons_are_one_cell() {
         let mut timings = Timings::new(Vec::new()).unwrap();
         let tracked = Tracked {
+            features: None,
             world_from_camera: Se3::IDENTITY,
             estimate: Se3::IDENTITY,
             verdict: Verdict::Poor,

@@ -16,7 +16,9 @@ use itm_gpu::{Device, FrameRecord, RaycastImage, Recorder, StageTimes, View};
 
 use crate::Error;
 use crate::mapper::{Late, Mapper};
-use crate::tracking::{Against, Age, Evaluation, Guess, Motion, Objective, Request, Tracked, Tracker, Verdict};
+use crate::tracking::{
+    Against, Age, CHECK_LEVELS, Evaluation, Guess, Motion, Objective, Request, Tracked, Tracker, Verdict,
+};
 
 /// Where poses come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -156,7 +158,7 @@ impl Slam {
     pub fn new(device: &Device, calibration: &Calibration, settings: &Settings, poses: Poses) -> Result<Self, Error> {
         settings.validate()?;
         calibration.validate()?;
-        let tracker = Tracker::new(settings)?;
+        let tracker = Tracker::new(settings, &calibration.depth)?;
         let needs = match poses {
             Poses::Tracked => Needs::of(&tracker),
             Poses::Given => Needs { levels: 1, lists: [None, None] },
@@ -531,8 +533,7 @@ struct Needs {
 
 impl Needs {
     fn of(tracker: &Tracker) -> Self {
-        // Enough for the verdict's evaluation.
-        let mut needs = Self { levels: 3, lists: [None, None] };
+        let mut needs = Self { levels: CHECK_LEVELS, lists: [None, None] };
         for level in tracker.plans(Age::default()).iter().flat_map(|plan| &plan.levels) {
             needs.levels = needs.levels.max(level.request.level + 1);
             for (range, term) in needs.lists.iter_mut().zip(&level.request.colour) {
@@ -569,14 +570,6 @@ struct ModelObjective<'a> {
 }
 
 impl Objective for ModelObjective<'_> {
-    fn camera(&self) -> &Intrinsics {
-        self.view.level_camera(0)
-    }
-
-    fn levels(&self) -> usize {
-        self.view.levels()
-    }
-
     fn pivot(&self) -> glam::DVec3 {
         // As the shader sees it: in single precision.
         self.world_from_model.translation.as_vec3().as_dvec3()

@@ -11,7 +11,7 @@ mod plan;
 mod tracker;
 mod verdict;
 
-use itm_core::{Intrinsics, Se3};
+use itm_core::Se3;
 use itm_gpu::icp::DepthTerm;
 use itm_gpu::photometric::PhotometricTerm;
 use itm_gpu::{DepthSums, PhotometricSums};
@@ -21,6 +21,7 @@ pub use motion::Motion;
 pub use optimise::{Outcome, optimise};
 pub use plan::{Age, LevelPlan, Part, Plan};
 pub use tracker::Tracker;
+pub(crate) use verdict::CHECK_LEVELS;
 pub use verdict::{Classifier, FEATURES, Features, Tracked, Verdict, terms};
 
 /// What a colour is multiplied by, and what is added then, to become what another image shows: the difference between two
@@ -86,12 +87,6 @@ pub struct Evaluation {
 
 /// Error terms over a frame's pixels, as functions of the camera's pose.
 pub trait Objective {
-    /// The depth camera, at full resolution.
-    fn camera(&self) -> &Intrinsics;
-
-    /// Levels of the depth pyramid.
-    fn levels(&self) -> usize;
-
     /// Point (world frame, metres) about which the sums' rotation turns.
     fn pivot(&self) -> glam::DVec3;
 

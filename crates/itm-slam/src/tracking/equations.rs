@@ -241,7 +241,7 @@ mod tests {
         let (plan, request) = plan();
         let equations = |sums: DepthSums, noise: Noise| {
             let evaluation = Evaluation { depth: Some(sums), ..Evaluation::default() };
-            NormalEquations::new(&evaluation, &request, &plan, &noise)
+            NormalEquations::new(&evaluation, &request, &plan, &noise, plan.colour_weight)
         };
         let noise = Noise::default();
         let plane = equations(planes(&[[0.0, 0.0, 1.0]], 1.0), noise).information();
@@ -295,7 +295,7 @@ mod tests {
         let noise = Noise { colour: [0.02, 0.05], ..Noise::default() };
         let sums = [linear(0.0), linear(0.37)];
         let evaluation = Evaluation { colour: sums.map(Some), ..Evaluation::default() };
-        let equations = NormalEquations::new(&evaluation, &request, &plan, &noise);
+        let equations = NormalEquations::new(&evaluation, &request, &plan, &noise, plan.colour_weight);
         let (step, held) = equations.step(Part::Both, 0.0, None).unwrap();
         assert_eq!(held, 0);
 
@@ -329,7 +329,7 @@ mod tests {
         }
 
         let without = Plan { estimate_exposure: false, ..plan };
-        let equations = NormalEquations::new(&evaluation, &request, &without, &noise);
+        let equations = NormalEquations::new(&evaluation, &request, &without, &noise, without.colour_weight);
         assert_eq!(equations.exposures(&guess, &step), guess.exposure);
         let pose_only = hessian.fixed_view::<6, 6>(0, 0).cholesky().unwrap().solve(&gradient.fixed_rows::<6>(0));
         let (step, _) = equations.step(Part::Both, 0.0, None).unwrap();
@@ -343,7 +343,8 @@ mod tests {
         let mut sums = linear(0.0);
         (sums.gradient[6], sums.gradient[7]) = (-1e6, 1e6);
         let evaluation = Evaluation { colour: [None, Some(sums)], ..Evaluation::default() };
-        let equations = NormalEquations::new(&evaluation, &plan.levels[0].request, &plan, &Noise::default());
+        let equations =
+            NormalEquations::new(&evaluation, &plan.levels[0].request, &plan, &Noise::default(), plan.colour_weight);
         let [previous, map] = equations.exposures(&Guess::default(), &Vector6::zeros());
         assert_eq!(previous, Exposure::default());
         assert_eq!(map, Exposure { gain: 3.0, offset: -0.5 });

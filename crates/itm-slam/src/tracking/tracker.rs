@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use itm_core::{CompositePolicy, Frame, Se3, Settings, TrackerKind};
+use itm_core::{CompositePolicy, Frame, Intrinsics, Se3, Settings, TrackerKind};
 use itm_io::trajectory::PoseFiles;
 
 use super::plan::{Age, Plan};
@@ -13,6 +13,8 @@ use crate::Error;
 #[derive(Clone, Debug)]
 pub struct Tracker {
     settings: Settings,
+    /// The depth camera, at full resolution.
+    camera: Intrinsics,
     /// Of a composite.
     parts: Vec<Tracker>,
     noise: Noise,
@@ -23,25 +25,25 @@ pub struct Tracker {
 }
 
 impl Tracker {
-    /// Prepares the tracker that the settings choose.
+    /// Prepares the tracker that the settings choose, for a depth camera.
     ///
     /// # Errors
     /// Where the settings cannot be used.
-    pub fn new(settings: &Settings) -> Result<Self, Error> {
+    pub fn new(settings: &Settings, camera: &Intrinsics) -> Result<Self, Error> {
         let parts = match settings.tracker.kind {
             TrackerKind::Composite => settings.tracker.parts()?,
             _ => Vec::new(),
         };
         let parts = parts
             .into_iter()
-            .map(|tracker| Self::new(&Settings { tracker, ..settings.clone() }))
+            .map(|tracker| Self::new(&Settings { tracker, ..settings.clone() }, camera))
             .collect::<Result<_, _>>()?;
         let poses = match settings.tracker.kind {
             TrackerKind::File => Some(Arc::new(PoseFiles::new("".as_ref(), &settings.tracker.file.mask)?)),
             _ => None,
         };
         let (noise, map_exposure) = (Noise::default(), Exposure::default());
-        Ok(Self { settings: settings.clone(), parts, noise, map_exposure, poses })
+        Ok(Self { settings: settings.clone(), camera: *camera, parts, noise, map_exposure, poses })
     }
 
     /// The pose that a file holds for a frame; `None` for trackers that take none from files.
@@ -113,13 +115,13 @@ impl Tracker {
                 exposure[super::Against::Map as usize] = self.map_exposure;
                 let guesses: Vec<Guess> = starts.iter().map(|p| Guess { world_from_camera: *p, exposure }).collect();
                 let outcome = optimise(objective, &guesses, &plan, &self.noise)?;
-                let level = verdict::check_level(objective.camera(), objective.levels());
+                let level = verdict::check_level(&self.camera);
                 let checked = objective.evaluate(&outcome.guess, &verdict::check(level))?;
                 let ended = verdict::Ended {
                     plan: &plan,
                     outcome: &outcome,
                     checked: &checked,
-                    pixels: objective.camera().at_level(level as u32).pixels(),
+                    pixels: self.camera.at_level(level as u32).pixels(),
                     expected: motion.predicted(frame.timestamp).unwrap_or(held),
                     held,
                 };

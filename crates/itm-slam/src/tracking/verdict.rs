@@ -105,9 +105,12 @@ pub(crate) fn check(level: usize) -> Request {
     Request { level, depth: Some(depth), colour: [None; 2] }
 }
 
-/// The level of a depth pyramid at which verdicts are found: the finest one not larger than 320 pixels.
-pub(crate) fn check_level(camera: &Intrinsics, levels: usize) -> usize {
-    (0..levels).find(|l| camera.at_level(*l as u32).width <= 320).unwrap_or(levels.max(1) - 1)
+/// Levels that a view has for verdicts' sake.
+pub(crate) const CHECK_LEVELS: usize = 3;
+
+/// The level of a depth pyramid at which verdicts are found: the finest one not wider than 320 pixels, if a view has it.
+pub(crate) fn check_level(camera: &Intrinsics) -> usize {
+    (0..CHECK_LEVELS).find(|l| camera.at_level(*l as u32).width <= 320).unwrap_or(CHECK_LEVELS - 1)
 }
 
 /// Number of features.
