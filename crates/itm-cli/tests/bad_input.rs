@@ -126,7 +126,7 @@ fn trackers_by_colour_need_it() {
     run(&["--tracker", "type=rgb", "--set", "map.colour=false"], &["'rgb' compares colours", "map.colour is off"]);
     run(&["--tracker", "type=rgb", "--set", "view.colour=false"], &["'rgb' compares colours", "view.colour is off"]);
     run(&["--tracker", blind, "--set", "view.colour=false"], &["'extended'", "view.colour is off"]);
-    let of_map = ["--set", "tracker.extended.use_depth=false", "--set", "tracker.extended.use_map_colour=true"];
+    let of_map = ["--tracker", "type=extended,useDepth=0,useColour=0", "--set", "tracker.extended.use_map_colour=true"];
     run(&[&of_map[..], &["--set", "map.colour=false"]].concat(), &["'extended'", "map.colour is off"]);
     without_colour(folder.path());
     run(&["--tracker", "type=rgb"], &["'rgb' compares colours, but the recording 'room' has none"]);

@@ -297,10 +297,9 @@ impl Slam {
         };
         let settings = &self.settings.tracker;
         let on_failure = settings.on_failure;
-        let further = match (self.to_recover, on_failure) {
-            (1.., OnFailure::Relocalise) => around(&world_from_model),
-            _ => Vec::new(),
-        };
+        let after_loss = settings.verdict.frames_to_recover + 1;
+        let just_lost = on_failure == OnFailure::Relocalise && self.to_recover == after_loss;
+        let further = if just_lost { around(&world_from_model) } else { Vec::new() };
         let mut tracker = self.tracker.clone();
         let (motion, age) = (self.motion.clone(), self.age);
         let mut objective = self.objective(frame, world_from_model);
@@ -323,6 +322,10 @@ impl Slam {
             }
             Verdict::Poor => {
                 let fuse = settings.verdict.fuse_poor && self.to_recover == 0;
+                if self.to_recover > 0 {
+                    // Good ones must come in a row; but it is no longer lost.
+                    self.to_recover = after_loss - 1;
+                }
                 Located { status: FrameStatus::Poor { reason }, tracked: Some(tracked), pose, fuse }
             }
             Verdict::Lost if on_failure == OnFailure::Ignore => {
@@ -331,7 +334,7 @@ impl Slam {
             }
             Verdict::Lost => {
                 self.to_recover = match on_failure {
-                    OnFailure::Relocalise => settings.verdict.frames_to_recover + 1,
+                    OnFailure::Relocalise => after_loss,
                     _ => 0,
                 };
                 self.return_to_last_good()?;

@@ -1,7 +1,7 @@
 //! Trackers chosen by one string, `type=extended,levels=rrbb,useDepth=1`, as in the reference system (the report, section
 //! 3.1.4).
 
-use super::{CompositePolicy, SettingsError, TrackerKind, TrackerSettings};
+use super::{CompositePolicy, CompositeSettings, SettingsError, TrackerKind, TrackerSettings};
 
 /// A key of a tracker's string and what it sets.
 struct Key {
@@ -188,7 +188,7 @@ impl TrackerSettings {
     pub fn parts(&self) -> Result<Vec<Self>, SettingsError> {
         let part = |given: &String| {
             let mut settings = Self { kind: TrackerKind::Icp, ..self.clone() };
-            settings.composite.trackers = Vec::new();
+            settings.composite = CompositeSettings::default();
             settings.set_string(given)?;
             if settings.kind == TrackerKind::Composite {
                 let message = "a composite cannot be part of one".into();

@@ -29,7 +29,7 @@ impl Noise {
         let rms = |squares: f64, count: u32| (squares / f64::from(count)).sqrt();
         // Of a pixel that counts fully: others have a weight for being noisier.
         let full = |d: DepthSums| (2.0 * d.cost / d.weights).sqrt();
-        let depth = evaluation.depth.filter(|d| d.count >= 100).map(|d| full(d).clamp(1e-4, 0.03));
+        let depth = evaluation.depth.filter(|d| d.count >= 100 && d.weights > 0.0).map(|d| full(d).clamp(1e-4, 0.03));
         let colour = std::array::from_fn(|i| {
             let sums = evaluation.colour[i].filter(|c| c.count >= 100);
             sums.map_or(self.colour[i], |c| rms(c.squares, c.count).clamp(0.005, 0.1))
@@ -353,7 +353,16 @@ mod tests {
     #[test]
     fn noise_is_what_residuals_show_within_bounds() {
         let depth = |rms: f64, count: u32| {
-            Some(DepthSums { squares: rms * rms * f64::from(count), count, ..DepthSums::default() })
+            let squares = rms * rms * f64::from(count);
+            // Every other pixel counts fully, the rest, which are noisier, hardly.
+            let weights = 0.5 * f64::from(count);
+            Some(DepthSums {
+                cost: 0.5 * rms * rms * weights,
+                weights,
+                squares: 9.0 * squares,
+                count,
+                ..DepthSums::default()
+            })
         };
         let colour = |rms: f64, count: u32| {
             Some(PhotometricSums { squares: rms * rms * f64::from(count), count, ..PhotometricSums::default() })
@@ -367,7 +376,7 @@ mod tests {
         assert!(close(all, Noise { depth_m: 0.004, colour: [0.02, 0.05] }), "{all:?}");
         // Perfect data, and useless ones.
         let perfect = measured(depth(0.0, 1000), colour(0.0, 500), colour(1e-4, 500));
-        assert!(close(perfect, Noise { depth_m: 2e-4, colour: [0.005; 2] }), "{perfect:?}");
+        assert!(close(perfect, Noise { depth_m: 1e-4, colour: [0.005; 2] }), "{perfect:?}");
         let useless = measured(depth(1.0, 1000), colour(0.5, 500), colour(0.2, 500));
         assert!(close(useless, Noise { depth_m: 0.03, colour: [0.1; 2] }), "{useless:?}");
         // What is not there, or hardly, says nothing.
