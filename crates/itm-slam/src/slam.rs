@@ -298,8 +298,9 @@ impl Slam {
         let settings = &self.settings.tracker;
         let on_failure = settings.on_failure;
         let after_loss = settings.verdict.frames_to_recover + 1;
-        let just_lost = on_failure == OnFailure::Relocalise && self.to_recover == after_loss;
-        let further = if just_lost { around(&world_from_model) } else { Vec::new() };
+        // What was found after a loss may be wrong, so the search goes on until frames are good again.
+        let searching = on_failure == OnFailure::Relocalise && self.to_recover > 0;
+        let further = if searching { around(&world_from_model) } else { Vec::new() };
         let mut tracker = self.tracker.clone();
         let (motion, age) = (self.motion.clone(), self.age);
         let mut objective = self.objective(frame, world_from_model);
@@ -513,17 +514,17 @@ impl Located {
     }
 }
 
-/// Poses around one, to start from after a loss: turned as far as an image still overlaps.
+/// Poses around one, to start from after a loss: turned as far as an image still overlaps, or moved aside while turning.
 fn around(pose: &Se3) -> Vec<Se3> {
-    let turns = [10.0_f64, -10.0, 20.0, -20.0].map(f64::to_radians);
-    let about = |axis: usize| {
-        turns.into_iter().map(move |angle| {
-            let mut twist = [0.0; 6];
-            twist[3 + axis] = angle;
-            Se3::exp(twist)
-        })
-    };
-    about(1).chain(about(0)).map(|turn| *pose * turn).collect()
+    let mut poses = Vec::new();
+    for degrees in [8.0_f64, -8.0, 16.0, -16.0] {
+        let angle = degrees.to_radians();
+        poses.push(*pose * Se3::exp([0.0, 0.0, 0.0, angle, 0.0, 0.0]));
+        for aside_m in [-0.15, 0.0, 0.15] {
+            poses.push(*pose * Se3::exp([aside_m, 0.0, 0.0, 0.0, angle, 0.0]));
+        }
+    }
+    poses
 }
 
 /// What a tracker's plans need of a view and of the model.
