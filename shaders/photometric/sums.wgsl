@@ -65,6 +65,55 @@ fn sample(pixel: vec2<f32>) -> Sample {
     );
 }
 
+// The upper triangle of JᵀWJ row by row for translation, rotation, gain and offset, and JᵀWr.
+struct Sums {
+    h0: vec4<f32>,
+    h1: vec4<f32>,
+    h2: vec4<f32>,
+    h3: vec3<f32>,
+    h4: vec4<f32>,
+    h5: vec2<f32>,
+    h6: vec4<f32>,
+    h7: f32,
+    h8: vec4<f32>,
+    h9: vec3<f32>,
+    h10: vec2<f32>,
+    h11: f32,
+    by_translation: vec3<f32>,
+    by_rotation: vec3<f32>,
+    by_gain: f32,
+    by_offset: f32,
+}
+
+// Adds one difference between the value `a` expected of a point, which lies at `p` before the camera, and the image, which
+// changes by `along` for each metre that the point moves sideways.
+fn add(sums: ptr<function, Sums>, w: f32, p: vec3<f32>, point: vec3<f32>, along: vec2<f32>, a: f32, residual: f32) {
+    let to_world = mat3x3<f32>(
+        params.camera_from_world[0].xyz,
+        params.camera_from_world[1].xyz,
+        params.camera_from_world[2].xyz,
+    );
+    // The camera's motion moves the point the other way, and the image's value counts negatively.
+    let t = vec3(along, -dot(along, p.xy) / max(p.z, 1e-3)) * to_world;
+    let r = cross(point - params.pivot, t);
+    (*sums).h0 += w * t.x * vec4(t.x, t.y, t.z, r.x);
+    (*sums).h1 += w * t.x * vec4(r.y, r.z, a, 1.0);
+    (*sums).h2 += w * t.y * vec4(t.y, t.z, r.x, r.y);
+    (*sums).h3 += w * t.y * vec3(r.z, a, 1.0);
+    (*sums).h4 += w * t.z * vec4(t.z, r.x, r.y, r.z);
+    (*sums).h5 += w * t.z * vec2(a, 1.0);
+    (*sums).h6 += w * r.x * vec4(r.x, r.y, r.z, a);
+    (*sums).h7 += w * r.x;
+    (*sums).h8 += w * r.y * vec4(r.y, r.z, a, 1.0);
+    (*sums).h9 += w * r.z * vec3(r.z, a, 1.0);
+    (*sums).h10 += w * a * vec2(a, 1.0);
+    (*sums).h11 += w * 1.0;
+    (*sums).by_translation += w * residual * t;
+    (*sums).by_rotation += w * residual * r;
+    (*sums).by_gain += w * residual * a;
+    (*sums).by_offset += w * residual;
+}
+
 const LUMA: vec3<f32> = vec3(0.299, 0.587, 0.114);
 
 @compute @workgroup_size(LANES)
@@ -73,22 +122,7 @@ fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group
     if row >= params.rows {
         return;
     }
-    var h0 = vec4(0.0);
-    var h1 = vec4(0.0);
-    var h2 = vec4(0.0);
-    var h3 = vec3(0.0);
-    var h4 = vec4(0.0);
-    var h5 = vec2(0.0);
-    var h6 = vec4(0.0);
-    var h7 = 0.0;
-    var h8 = vec4(0.0);
-    var h9 = vec3(0.0);
-    var h10 = vec2(0.0);
-    var h11 = 0.0;
-    var gt = vec3(0.0);
-    var gr = vec3(0.0);
-    var gain_gradient = 0.0;
-    var offset_gradient = 0.0;
+    var sums = Sums();
     var cost = 0.0;
     var weights = 0.0;
     var unseen = 0.0;
@@ -110,7 +144,6 @@ fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group
             let live = sample(clamp(pixel, vec2(0.0), last));
             // Pixels a metre of sideways motion, over the depth.
             let scale = params.camera.focal / max(p.z, 1e-3);
-            let arm = point - params.pivot;
             var pair = f32(seen) * live.value.w;
             @if(!rgb) let a = dot(expected.rgb, LUMA);
             @if(!rgb) let residual = params.gain * a + params.offset - dot(live.value.rgb, LUMA);
@@ -130,109 +163,62 @@ fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group
             squares += inlier * square;
             count += inlier;
             valid += 1.0;
-            let to_world = mat3x3<f32>(
-                params.camera_from_world[0].xyz,
-                params.camera_from_world[1].xyz,
-                params.camera_from_world[2].xyz,
-            );
-            @if(!rgb) {
-                let g = vec3(gradient * scale, -dot(gradient * scale, p.xy) / max(p.z, 1e-3));
-                // The camera's motion moves the point the other way, and the image's value counts negatively.
-                let t = g * to_world;
-                let r = cross(arm, t);
-                h0 += w * t.x * vec4(t.x, t.y, t.z, r.x);
-                h1 += w * t.x * vec4(r.y, r.z, a, 1.0);
-                h2 += w * t.y * vec4(t.y, t.z, r.x, r.y);
-                h3 += w * t.y * vec3(r.z, a, 1.0);
-                h4 += w * t.z * vec4(t.z, r.x, r.y, r.z);
-                h5 += w * t.z * vec2(a, 1.0);
-                h6 += w * r.x * vec4(r.x, r.y, r.z, a);
-                h7 += w * r.x;
-                h8 += w * r.y * vec4(r.y, r.z, a, 1.0);
-                h9 += w * r.z * vec3(r.z, a, 1.0);
-                h10 += w * a * vec2(a, 1.0);
-                h11 += w * 1.0;
-                gt += w * residual * t;
-                gr += w * residual * r;
-                gain_gradient += w * residual * a;
-                offset_gradient += w * residual;
-            }
+            @if(!rgb) add(&sums, w, p, point, gradient * scale, a, residual);
             @if(rgb) {
                 for (var c = 0u; c < 3u; c++) {
-                    let a = expected[c];
-                    let residual = differences[c];
                     let along = vec2(live.along_x[c], live.along_y[c]) * scale;
-                    let g = vec3(along, -dot(along, p.xy) / max(p.z, 1e-3));
-                    let t = g * to_world;
-                    let r = cross(arm, t);
-                    h0 += w * t.x * vec4(t.x, t.y, t.z, r.x);
-                    h1 += w * t.x * vec4(r.y, r.z, a, 1.0);
-                    h2 += w * t.y * vec4(t.y, t.z, r.x, r.y);
-                    h3 += w * t.y * vec3(r.z, a, 1.0);
-                    h4 += w * t.z * vec4(t.z, r.x, r.y, r.z);
-                    h5 += w * t.z * vec2(a, 1.0);
-                    h6 += w * r.x * vec4(r.x, r.y, r.z, a);
-                    h7 += w * r.x;
-                    h8 += w * r.y * vec4(r.y, r.z, a, 1.0);
-                    h9 += w * r.z * vec3(r.z, a, 1.0);
-                    h10 += w * a * vec2(a, 1.0);
-                    h11 += w * 1.0;
-                    gt += w * residual * t;
-                    gr += w * residual * r;
-                    gain_gradient += w * residual * a;
-                    offset_gradient += w * residual;
+                    add(&sums, w, p, point, along, expected[c], differences[c]);
                 }
             }
         }
         i += LANES;
     }
     let out = row * COLUMNS;
-    // The upper triangle of JᵀWJ row by row for translation, rotation, gain and offset, JᵀWr, then what the host names in
-    // its own list.
-    partial_sums[out + 0u] = h0.x;
-    partial_sums[out + 1u] = h0.y;
-    partial_sums[out + 2u] = h0.z;
-    partial_sums[out + 3u] = h0.w;
-    partial_sums[out + 4u] = h1.x;
-    partial_sums[out + 5u] = h1.y;
-    partial_sums[out + 6u] = h1.z;
-    partial_sums[out + 7u] = h1.w;
-    partial_sums[out + 8u] = h2.x;
-    partial_sums[out + 9u] = h2.y;
-    partial_sums[out + 10u] = h2.z;
-    partial_sums[out + 11u] = h2.w;
-    partial_sums[out + 12u] = h3.x;
-    partial_sums[out + 13u] = h3.y;
-    partial_sums[out + 14u] = h3.z;
-    partial_sums[out + 15u] = h4.x;
-    partial_sums[out + 16u] = h4.y;
-    partial_sums[out + 17u] = h4.z;
-    partial_sums[out + 18u] = h4.w;
-    partial_sums[out + 19u] = h5.x;
-    partial_sums[out + 20u] = h5.y;
-    partial_sums[out + 21u] = h6.x;
-    partial_sums[out + 22u] = h6.y;
-    partial_sums[out + 23u] = h6.z;
-    partial_sums[out + 24u] = h6.w;
-    partial_sums[out + 25u] = h7;
-    partial_sums[out + 26u] = h8.x;
-    partial_sums[out + 27u] = h8.y;
-    partial_sums[out + 28u] = h8.z;
-    partial_sums[out + 29u] = h8.w;
-    partial_sums[out + 30u] = h9.x;
-    partial_sums[out + 31u] = h9.y;
-    partial_sums[out + 32u] = h9.z;
-    partial_sums[out + 33u] = h10.x;
-    partial_sums[out + 34u] = h10.y;
-    partial_sums[out + 35u] = h11;
-    partial_sums[out + 36u] = gt.x;
-    partial_sums[out + 37u] = gt.y;
-    partial_sums[out + 38u] = gt.z;
-    partial_sums[out + 39u] = gr.x;
-    partial_sums[out + 40u] = gr.y;
-    partial_sums[out + 41u] = gr.z;
-    partial_sums[out + 42u] = gain_gradient;
-    partial_sums[out + 43u] = offset_gradient;
+    // What the host names in its own list.
+    partial_sums[out + 0u] = sums.h0.x;
+    partial_sums[out + 1u] = sums.h0.y;
+    partial_sums[out + 2u] = sums.h0.z;
+    partial_sums[out + 3u] = sums.h0.w;
+    partial_sums[out + 4u] = sums.h1.x;
+    partial_sums[out + 5u] = sums.h1.y;
+    partial_sums[out + 6u] = sums.h1.z;
+    partial_sums[out + 7u] = sums.h1.w;
+    partial_sums[out + 8u] = sums.h2.x;
+    partial_sums[out + 9u] = sums.h2.y;
+    partial_sums[out + 10u] = sums.h2.z;
+    partial_sums[out + 11u] = sums.h2.w;
+    partial_sums[out + 12u] = sums.h3.x;
+    partial_sums[out + 13u] = sums.h3.y;
+    partial_sums[out + 14u] = sums.h3.z;
+    partial_sums[out + 15u] = sums.h4.x;
+    partial_sums[out + 16u] = sums.h4.y;
+    partial_sums[out + 17u] = sums.h4.z;
+    partial_sums[out + 18u] = sums.h4.w;
+    partial_sums[out + 19u] = sums.h5.x;
+    partial_sums[out + 20u] = sums.h5.y;
+    partial_sums[out + 21u] = sums.h6.x;
+    partial_sums[out + 22u] = sums.h6.y;
+    partial_sums[out + 23u] = sums.h6.z;
+    partial_sums[out + 24u] = sums.h6.w;
+    partial_sums[out + 25u] = sums.h7;
+    partial_sums[out + 26u] = sums.h8.x;
+    partial_sums[out + 27u] = sums.h8.y;
+    partial_sums[out + 28u] = sums.h8.z;
+    partial_sums[out + 29u] = sums.h8.w;
+    partial_sums[out + 30u] = sums.h9.x;
+    partial_sums[out + 31u] = sums.h9.y;
+    partial_sums[out + 32u] = sums.h9.z;
+    partial_sums[out + 33u] = sums.h10.x;
+    partial_sums[out + 34u] = sums.h10.y;
+    partial_sums[out + 35u] = sums.h11;
+    partial_sums[out + 36u] = sums.by_translation.x;
+    partial_sums[out + 37u] = sums.by_translation.y;
+    partial_sums[out + 38u] = sums.by_translation.z;
+    partial_sums[out + 39u] = sums.by_rotation.x;
+    partial_sums[out + 40u] = sums.by_rotation.y;
+    partial_sums[out + 41u] = sums.by_rotation.z;
+    partial_sums[out + 42u] = sums.by_gain;
+    partial_sums[out + 43u] = sums.by_offset;
     partial_sums[out + 44u] = cost;
     partial_sums[out + 45u] = weights;
     partial_sums[out + 46u] = unseen;

@@ -222,8 +222,8 @@ impl Workplace<'_> {
         Ok(Ok(serde_json::from_slice(&output.stdout).context("the summary of a run can't be read")?))
     }
 
-    /// Runs twice with settings, and gives the cells of a row from ATE on.
-    fn measure(&mut self, recording: &Recording, settings: &[(&str, &str)]) -> Result<Vec<String>> {
+    /// Runs with settings, and again where it is asked whether that gives the same; the cells of a row from ATE on.
+    fn measure(&mut self, recording: &Recording, settings: &[(&str, &str)], repeat: bool) -> Result<Vec<String>> {
         let differences: Vec<Difference> = settings
             .iter()
             .filter(|(key, value)| value_of(&recording.defaults, key) != Some(value))
@@ -248,13 +248,18 @@ impl Workplace<'_> {
         let trajectory = |out: &String| std::fs::read(self.runs.join(out).join("trajectory.txt"));
         let cells = match self.itm_run(&recording.folder, &outs[0], &arguments)? {
             Ok(first) => {
-                let again = self.itm_run(&recording.folder, &outs[1], &arguments)?;
-                cells(&first, again.is_ok() && trajectory(&outs[0])? == trajectory(&outs[1])?)
+                let mut cells = figures(&first);
+                if repeat {
+                    let again = self.itm_run(&recording.folder, &outs[1], &arguments)?;
+                    let same = again.is_ok() && trajectory(&outs[0])? == trajectory(&outs[1])?;
+                    cells.push(if same { "yes" } else { "**no**" }.into());
+                }
+                cells
             }
             Err(reason) => {
-                eprint!("{reason}; ");
-                let dashes = ["–"; COLUMNS - 1].map(String::from);
-                dashes.into_iter().chain([format!("not run: {}", reason.replace('|', "/"))]).collect()
+                let mut cells = vec![format!("not run: {}", reason.replace('|', "/"))];
+                cells.resize(FIGURES + usize::from(repeat), "–".into());
+                cells
             }
         };
         eprintln!("ATE {} mm, {} lost, {} poor", cells[0], cells[4], cells[5]);
@@ -263,17 +268,17 @@ impl Workplace<'_> {
     }
 
     fn tables(&mut self, recordings: &[Recording]) -> Result<String> {
-        let figures =
-            "ATE (mm) | RPE median (mm) | RPE median (°) | RPE rmse (mm) | lost | poor | posed | median (ms) | same";
-        let rule = "| ---: ".repeat(COLUMNS - 1);
-        let mut text = format!("### Trackers\n\n| recording | tracker | {figures} |\n| --- | --- {rule}| --- |\n");
+        let figures = "ATE (mm) | RPE median (mm) | RPE median (°) | RPE rmse (mm) | lost | poor | posed | median (ms)";
+        let rule = "| ---: ".repeat(FIGURES);
+        let mut text =
+            format!("### Trackers\n\n| recording | tracker | {figures} | same |\n| --- | --- {rule}| --- |\n");
         for recording in recordings.iter().filter(|recording| recording.name != EXPOSURE) {
             for (kind, _) in TRACKERS.iter().filter(|(_, inertial)| recording.gyroscope || !inertial) {
-                let cells = self.measure(recording, &[("tracker.kind", kind)])?.join(" | ");
+                let cells = self.measure(recording, &[("tracker.kind", kind)], true)?.join(" | ");
                 writeln!(text, "| {} | {kind} | {cells} |", recording.name)?;
             }
         }
-        let head = format!("| recording | setting | with | {figures} |\n| --- | --- | --- {rule}| --- |\n");
+        let head = format!("| recording | setting | with | {figures} |\n| --- | --- | --- {rule}|\n");
         write!(text, "\n### Extensions of the default tracker\n\n{head}")?;
         for recording in recordings {
             for (setting, needs) in EXTENSIONS {
@@ -282,7 +287,7 @@ impl Workplace<'_> {
                 }
                 for value in ["true", "false"] {
                     let settings: Vec<_> = needs.iter().map(|need| (*need, "true")).chain([(setting, value)]).collect();
-                    let cells = self.measure(recording, &settings)?.join(" | ");
+                    let cells = self.measure(recording, &settings, false)?[..FIGURES].join(" | ");
                     writeln!(text, "| {} | {setting} = {value} | {} | {cells} |", recording.name, needs.join(", "))?;
                 }
             }
@@ -293,10 +298,10 @@ impl Workplace<'_> {
 }
 
 /// Columns of figures.
-const COLUMNS: usize = 9;
+const FIGURES: usize = 8;
 
 /// The figures of a run's summary.
-fn cells(summary: &Value, same: bool) -> Vec<String> {
+fn figures(summary: &Value) -> Vec<String> {
     let number = |value: &Value, factor: f64, decimals: usize| match value.as_f64() {
         Some(value) => format!("{:.decimals$}", value * factor),
         None => "–".into(),
@@ -313,7 +318,6 @@ fn cells(summary: &Value, same: bool) -> Vec<String> {
         count("poor"),
         format!("{} %", number(&summary["posed_share"], 100.0, 1)),
         number(&summary["median_frame_ms"], 1.0, 1),
-        if same { "yes" } else { "**no**" }.into(),
     ]
 }
 
@@ -372,11 +376,11 @@ mod tests {
             },
             "lost": 2, "poor": 1, "posed_share": 0.9, "median_frame_ms": 12.34,
         });
-        let expected = ["12.30", "3.00", "1.000", "4.00", "2", "1", "90.0 %", "12.3", "yes"];
-        assert_eq!(cells(&summary, true), expected);
-        assert_eq!(expected.len(), COLUMNS);
-        let nothing = cells(&serde_json::json!({ "evaluation": null, "lost": 0, "poor": 0, "posed_share": 0 }), false);
-        assert_eq!(nothing, ["–", "–", "–", "–", "0", "0", "0.0 %", "–", "**no**"]);
+        let expected = ["12.30", "3.00", "1.000", "4.00", "2", "1", "90.0 %", "12.3"];
+        assert_eq!(figures(&summary), expected);
+        assert_eq!(expected.len(), FIGURES);
+        let nothing = figures(&serde_json::json!({ "evaluation": null, "lost": 0, "poor": 0, "posed_share": 0 }));
+        assert_eq!(nothing, ["–", "–", "–", "–", "0", "0", "0.0 %", "–"]);
     }
 
     #[test]

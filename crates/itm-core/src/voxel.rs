@@ -42,6 +42,54 @@ pub fn index_in_block(voxel: IVec3) -> usize {
     (voxel.x + voxel.y * BLOCK_SIDE + voxel.z * BLOCK_SIDE * BLOCK_SIDE) as usize
 }
 
+/// How a voxel's distance is kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DistanceKind {
+    /// 16 bits, beside a weight of 16 bits in one word: [`DistanceVoxel`].
+    #[default]
+    I16,
+    /// A 32-bit float, and a second word for the weight: [`FloatVoxel`].
+    F32,
+}
+
+/// What a voxel holds. Each part is a plane of its own, there only where it is asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VoxelKind {
+    /// How the distance and its weight are kept.
+    pub distance: DistanceKind,
+    /// Whether there is a colour: [`ColourVoxel`].
+    pub colour: bool,
+    /// Whether there is a confidence, a 32-bit float.
+    pub confidence: bool,
+}
+
+impl VoxelKind {
+    /// Words (of 32 bits) of a distance and its weight.
+    pub const fn distance_words(self) -> usize {
+        match self.distance {
+            DistanceKind::I16 => 1,
+            DistanceKind::F32 => 2,
+        }
+    }
+
+    /// Words of a voxel in all planes together.
+    pub const fn words(self) -> usize {
+        self.distance_words() + self.colour as usize + self.confidence as usize
+    }
+
+    /// Words of a block: its planes one after the other, distances, colours, confidences.
+    pub const fn block_words(self) -> usize {
+        self.words() * BLOCK_VOXELS
+    }
+
+    /// Bytes of a block.
+    pub const fn block_bytes(self) -> u64 {
+        self.block_words() as u64 * 4
+    }
+}
+
 /// A truncated signed distance and how often it was observed, packed into one word: the low half is
 /// `(1 - distance) / 2` as a 16-bit fixed-point number, the high half the weight. Zeroed memory is therefore space
 /// never seen: distance 1, weight 0.
@@ -66,6 +114,32 @@ impl DistanceVoxel {
     /// Number of observations, each as many times as it counts, up to the largest weight.
     pub fn weight(self) -> u16 {
         (self.0 >> 16) as u16
+    }
+}
+
+/// A truncated signed distance in single precision and how often it was observed, in two words. The first holds one minus the
+/// distance, so that zeroed memory is space never seen here too.
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub struct FloatVoxel {
+    one_minus_distance: f32,
+    weight: u32,
+}
+
+impl FloatVoxel {
+    /// Packs a distance (clamped to -1 to 1) and a weight.
+    pub fn new(distance: f32, weight: u16) -> Self {
+        Self { one_minus_distance: 1.0 - distance.clamp(-1.0, 1.0), weight: weight.into() }
+    }
+
+    /// Signed distance in units of the truncation band, between -1 and 1.
+    pub fn distance(self) -> f32 {
+        1.0 - self.one_minus_distance
+    }
+
+    /// Number of observations, each as many times as it counts, up to the largest weight.
+    pub fn weight(self) -> u16 {
+        self.weight as u16
     }
 }
 

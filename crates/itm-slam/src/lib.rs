@@ -20,14 +20,16 @@
 //! ```
 
 mod error;
+mod frame_result;
 mod mapper;
 mod session;
 mod slam;
 pub mod tracking;
 
 pub use error::Error;
+pub use frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
 pub use session::{Event, Session, SessionOptions, Summary};
-pub use slam::{FrameReport, FrameResult, FrameStatus, Notice, Poses, Slam};
+pub use slam::{Poses, Slam};
 
 pub use itm_core::*;
 pub use itm_gpu::render::Shading;

@@ -2,22 +2,22 @@
 
 use std::ops::Range;
 
-use itm_core::StampedPose;
 use itm_core::{
-    Calibration, ColourImage, Frame, Intrinsics, Mesh, ObservationWeight, OnFailure, Se3, Settings, Timestamp,
+    Calibration, ColourImage, Frame, Intrinsics, Mesh, ObservationWeight, OnFailure, Se3, Settings, StampedPose,
     Trajectory,
 };
-use itm_gpu::evaluate::{ColourTerm, Compared, Evaluator};
+use itm_gpu::evaluate::Evaluator;
 use itm_gpu::mesh::Extract;
 use itm_gpu::photometric::PointList;
 use itm_gpu::render::{Render, Shading};
 use itm_gpu::view::{ViewOptions, ViewStage};
-use itm_gpu::{Device, FrameRecord, RaycastImage, Recorder, StageTimes, View};
+use itm_gpu::{Device, RaycastImage, Recorder, StageTimes, View};
 
 use crate::Error;
+use crate::frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
 use crate::mapper::{Late, Mapper};
 use crate::tracking::{
-    Against, Age, CHECK_LEVELS, Evaluation, Guess, Motion, Objective, Request, Tracked, Tracker, Verdict,
+    Against, Age, CHECK_LEVELS, ModelObjective, Moment, Motion, Tracked, Tracker, Verdict, colour_offset,
 };
 
 /// Where poses come from.
@@ -27,93 +27,6 @@ pub enum Poses {
     Tracked,
     /// From the frames themselves.
     Given,
-}
-
-/// What became of a frame.
-#[derive(Clone, Debug, PartialEq)]
-pub enum FrameStatus {
-    /// The map's first frame, or one fused at its given pose.
-    Placed,
-    /// Tracked, and its pose can be relied on.
-    Tracked,
-    /// Tracked, but its pose may be off, for this reason. Not fused unless `tracker.verdict.fuse_poor` says so.
-    Poor {
-        /// In words and numbers.
-        reason: String,
-    },
-    /// Not tracked, for this reason.
-    Lost {
-        /// In words and numbers.
-        reason: String,
-    },
-    /// Poses are given, but this frame has none (or one that is not finite).
-    NoPose,
-    /// There is no map yet, and this frame has no depth to begin one with.
-    NoDepth,
-}
-
-/// Something that a user should know.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Notice {
-    /// New blocks found no room, and wait for it.
-    Waiting {
-        /// How many.
-        blocks: u32,
-        /// Blocks that the map can hold.
-        capacity: u32,
-    },
-    /// New blocks found no room, and none to wait in either: parts of the scene are missing.
-    Dropped {
-        /// How many, in one frame.
-        blocks: u32,
-    },
-}
-
-impl std::fmt::Display for Notice {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Waiting { blocks, capacity } => {
-                write!(f, "the map is full at {capacity} blocks: {blocks} new ones wait for room")
-            }
-            Self::Dropped { blocks } => {
-                write!(f, "the map is full: {blocks} new blocks were dropped, with no room to wait in")
-            }
-        }
-    }
-}
-
-/// What became known of a frame two frames later: the map's counters after it, and what its stages took.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FrameReport {
-    /// The frame's index.
-    pub index: u64,
-    /// The map's counters right after it.
-    pub record: FrameRecord,
-    /// Milliseconds on the device of each stage, in the order of the pipeline; empty where the device has no clock.
-    pub stage_ms: Vec<(&'static str, f64)>,
-    /// What a user should know of that frame.
-    pub notices: Vec<Notice>,
-}
-
-/// What [`Slam::process`] found.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FrameResult {
-    /// The frame's index.
-    pub index: u64,
-    /// The frame's time.
-    pub timestamp: Timestamp,
-    /// The depth camera's pose, where there is one.
-    pub world_from_camera: Option<Se3>,
-    /// What became of the frame.
-    pub status: FrameStatus,
-    /// What tracking found; `None` where it was not tried.
-    pub tracked: Option<Tracked>,
-    /// Whether the frame was fused into the map.
-    pub fused: bool,
-    /// Milliseconds that tracking took, waits included.
-    pub track_ms: f64,
-    /// What has become known of an earlier frame.
-    pub report: Option<FrameReport>,
 }
 
 /// Reconstruction from a stream of frames.
@@ -266,7 +179,7 @@ impl Slam {
         let mut tracker = self.tracker.clone();
         let (motion, age) = (self.motion.clone(), self.age);
         let mut objective = self.objective(frame, world_from_model);
-        tracker.track_from(&mut objective, frame, &motion, age, starts).map(Some)
+        tracker.track_from(&mut objective, &Moment { frame, motion: &motion, age }, starts).map(Some)
     }
 
     /// Uploads a frame, and makes what tracking and fusion use of it.
@@ -304,7 +217,7 @@ impl Slam {
         let mut tracker = self.tracker.clone();
         let (motion, age) = (self.motion.clone(), self.age);
         let mut objective = self.objective(frame, world_from_model);
-        let tracked = tracker.track(&mut objective, frame, &motion, age, &further)?;
+        let tracked = tracker.track(&mut objective, &Moment { frame, motion: &motion, age }, &further)?;
         self.tracker = tracker;
         let pose = Some(tracked.world_from_camera);
         let reason = tracked.reasons.join("; ");
@@ -547,69 +460,5 @@ impl Needs {
             }
         }
         needs
-    }
-}
-
-/// The camera's motion from the moment of its depth image to that of its colour image, if it went on as from the pose
-/// before, by a share of that way.
-fn colour_offset(before: &Option<Se3>, world_from_camera: &Se3, lead: f64) -> Se3 {
-    match before {
-        Some(before) if lead != 0.0 => Se3::exp((before.inverse() * *world_from_camera).log().map(|v| lead * v)),
-        _ => Se3::IDENTITY,
-    }
-}
-
-/// The GPU's sums for a view against the model.
-struct ModelObjective<'a> {
-    evaluator: &'a mut Evaluator,
-    view: &'a View,
-    model: &'a RaycastImage,
-    lists: [Option<&'a PointList>; 2],
-    world_from_model: Se3,
-    /// The pose before.
-    before: Option<Se3>,
-    /// See [`Motion::colour_lead`].
-    colour_lead: f64,
-    depth_from_colour: Se3,
-}
-
-impl Objective for ModelObjective<'_> {
-    fn pivot(&self) -> glam::DVec3 {
-        // As the shader sees it: in single precision.
-        self.world_from_model.translation.as_vec3().as_dvec3()
-    }
-
-    fn evaluate(&mut self, guess: &Guess, request: &Request) -> Result<Evaluation, itm_gpu::Error> {
-        let pose = &guess.world_from_camera;
-        let offset = colour_offset(&self.before, pose, self.colour_lead);
-        let world_from_colour = *pose * offset * self.depth_from_colour;
-        let terms: [Option<ColourTerm<'_>>; 2] = std::array::from_fn(|i| {
-            let mut term = request.colour[i]?;
-            (term.gain, term.offset) = (guess.exposure[i].gain as f32, guess.exposure[i].offset as f32);
-            Some(ColourTerm { list: self.lists[i]?, world_from_colour, term })
-        });
-        let compared = Compared {
-            view: self.view,
-            level: request.level,
-            model: self.model,
-            world_from_model: self.world_from_model,
-        };
-        let terms = terms.each_ref().map(Option::as_ref);
-        let (depth, mut colour) = self.evaluator.evaluate(&compared, pose, request.depth.as_ref(), terms)?;
-        // A step of the depth camera's moves the colour camera by as much more as it is ahead.
-        let further = 1.0 + self.colour_lead;
-        for sums in colour.iter_mut().flatten() {
-            for i in 0..6 {
-                sums.gradient[i] *= further;
-                for j in 0..6 {
-                    sums.hessian[i][j] *= further * further;
-                }
-                for j in 6..8 {
-                    sums.hessian[i][j] *= further;
-                    sums.hessian[j][i] *= further;
-                }
-            }
-        }
-        Ok(Evaluation { depth, colour })
     }
 }

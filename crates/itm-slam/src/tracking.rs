@@ -4,8 +4,10 @@
 //! optimiser ([`optimise`]) carries every plan out, [`Motion`] says where to start, and a verdict says whether the result
 //! can be relied on.
 
+mod classifier;
 mod equations;
 mod motion;
+mod on_gpu;
 mod optimise;
 mod plan;
 mod tracker;
@@ -16,13 +18,15 @@ use itm_gpu::icp::DepthTerm;
 use itm_gpu::photometric::PhotometricTerm;
 use itm_gpu::{DepthSums, PhotometricSums};
 
+pub(crate) use classifier::CHECK_LEVELS;
+pub use classifier::{Classifier, FEATURES, Features, terms};
 pub use equations::{Noise, NormalEquations};
 pub use motion::Motion;
+pub(crate) use on_gpu::{ModelObjective, colour_offset};
 pub use optimise::{Outcome, optimise};
 pub use plan::{Age, LevelPlan, Part, Plan};
-pub use tracker::Tracker;
-pub(crate) use verdict::CHECK_LEVELS;
-pub use verdict::{Classifier, FEATURES, Features, Tracked, Verdict, terms};
+pub use tracker::{Moment, Tracker};
+pub use verdict::{Tracked, Verdict};
 
 /// What a colour is multiplied by, and what is added then, to become what another image shows: the difference between two
 /// exposures.

@@ -6,8 +6,19 @@ use itm_core::{CompositePolicy, Frame, Intrinsics, Se3, Settings, TrackerKind};
 use itm_io::trajectory::PoseFiles;
 
 use super::plan::{Age, Plan};
-use super::{Exposure, Guess, Motion, Noise, Objective, Tracked, Verdict, optimise, verdict};
+use super::{Exposure, Guess, Motion, Noise, Objective, Tracked, Verdict, classifier, optimise, verdict};
 use crate::Error;
+
+/// A frame to be tracked, and what is known at that moment.
+#[derive(Clone, Copy, Debug)]
+pub struct Moment<'a> {
+    /// The frame.
+    pub frame: &'a Frame,
+    /// The camera's motion so far.
+    pub motion: &'a Motion,
+    /// The map's age.
+    pub age: Age,
+}
 
 /// A tracker, with what it has learnt of the sensor.
 #[derive(Clone, Debug)]
@@ -80,13 +91,11 @@ impl Tracker {
     pub fn track(
         &mut self,
         objective: &mut dyn Objective,
-        frame: &Frame,
-        motion: &Motion,
-        age: Age,
+        moment: &Moment<'_>,
         further: &[Se3],
     ) -> Result<Tracked, Error> {
-        let starts = self.starts(frame, motion, further);
-        self.track_from(objective, frame, motion, age, &starts)
+        let starts = self.starts(moment, further);
+        self.track_from(objective, moment, &starts)
     }
 
     /// Finds a frame's pose from certain poses.
@@ -96,11 +105,10 @@ impl Tracker {
     pub fn track_from(
         &mut self,
         objective: &mut dyn Objective,
-        frame: &Frame,
-        motion: &Motion,
-        age: Age,
+        moment: &Moment<'_>,
         starts: &[Se3],
     ) -> Result<Tracked, Error> {
+        let Moment { frame, motion, age } = *moment;
         let held = motion.last().or(starts.first().copied()).unwrap_or_default();
         match self.settings.tracker.kind {
             TrackerKind::ForceFail => Ok(Tracked::lost(held, "this tracker always fails".into())),
@@ -108,15 +116,15 @@ impl Tracker {
                 Some(pose) => Ok(Tracked::given(pose)),
                 None => Ok(Tracked::lost(held, format!("no file holds a pose of frame {}", frame.index))),
             },
-            TrackerKind::Composite => self.track_composite(objective, frame, motion, age, starts),
+            TrackerKind::Composite => self.track_composite(objective, moment, starts),
             _ => {
                 let plan = self.plan(age).expect("every other kind has a plan");
                 let mut exposure = [Exposure::default(); 2];
                 exposure[super::Against::Map as usize] = self.map_exposure;
                 let guesses: Vec<Guess> = starts.iter().map(|p| Guess { world_from_camera: *p, exposure }).collect();
                 let outcome = optimise(objective, &guesses, &plan, &self.noise)?;
-                let level = verdict::check_level(&self.camera);
-                let checked = objective.evaluate(&outcome.guess, &verdict::check(level))?;
+                let level = classifier::check_level(&self.camera);
+                let checked = objective.evaluate(&outcome.guess, &classifier::check(level))?;
                 let ended = verdict::Ended {
                     plan: &plan,
                     outcome: &outcome,
@@ -138,16 +146,14 @@ impl Tracker {
     fn track_composite(
         &mut self,
         objective: &mut dyn Objective,
-        frame: &Frame,
-        motion: &Motion,
-        age: Age,
+        moment: &Moment<'_>,
         starts: &[Se3],
     ) -> Result<Tracked, Error> {
         let policy = self.settings.tracker.composite.policy;
         let mut best: Option<Tracked> = None;
         let mut starts = starts.to_vec();
         for part in &mut self.parts {
-            let found = part.track_from(objective, frame, motion, age, &starts)?;
+            let found = part.track_from(objective, moment, &starts)?;
             match policy {
                 CompositePolicy::FirstSuccess => {
                     let better = best.as_ref().is_none_or(|b| found.verdict < b.verdict);
@@ -182,7 +188,8 @@ impl Tracker {
     }
 
     /// Poses to start from, the likeliest first.
-    fn starts(&self, frame: &Frame, motion: &Motion, further: &[Se3]) -> Vec<Se3> {
+    fn starts(&self, moment: &Moment<'_>, further: &[Se3]) -> Vec<Se3> {
+        let Moment { frame, motion, .. } = *moment;
         let t = &self.settings.tracker;
         let last = motion.last().unwrap_or_default();
         let imu = |kind: TrackerKind| matches!(kind, TrackerKind::ImuIcp | TrackerKind::ExtendedImu);

@@ -1,0 +1,93 @@
+//! What became of a frame, and what a user should know of it.
+
+use itm_core::{Se3, Timestamp};
+use itm_gpu::FrameRecord;
+
+use crate::tracking::Tracked;
+
+/// What became of a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FrameStatus {
+    /// The map's first frame, or one fused at its given pose.
+    Placed,
+    /// Tracked, and its pose can be relied on.
+    Tracked,
+    /// Tracked, but its pose may be off, for this reason. Not fused unless `tracker.verdict.fuse_poor` says so.
+    Poor {
+        /// In words and numbers.
+        reason: String,
+    },
+    /// Not tracked, for this reason.
+    Lost {
+        /// In words and numbers.
+        reason: String,
+    },
+    /// Poses are given, but this frame has none (or one that is not finite).
+    NoPose,
+    /// There is no map yet, and this frame has no depth to begin one with.
+    NoDepth,
+}
+
+/// Something that a user should know.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Notice {
+    /// New blocks found no room, and wait for it.
+    Waiting {
+        /// How many.
+        blocks: u32,
+        /// Blocks that the map can hold.
+        capacity: u32,
+    },
+    /// New blocks found no room, and none to wait in either: parts of the scene are missing.
+    Dropped {
+        /// How many, in one frame.
+        blocks: u32,
+    },
+}
+
+impl std::fmt::Display for Notice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Waiting { blocks, capacity } => {
+                write!(f, "the map is full at {capacity} blocks: {blocks} new ones wait for room")
+            }
+            Self::Dropped { blocks } => {
+                write!(f, "the map is full: {blocks} new blocks were dropped, with no room to wait in")
+            }
+        }
+    }
+}
+
+/// What became known of a frame two frames later: the map's counters after it, and what its stages took.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameReport {
+    /// The frame's index.
+    pub index: u64,
+    /// The map's counters right after it.
+    pub record: FrameRecord,
+    /// Milliseconds on the device of each stage, in the order of the pipeline; empty where the device has no clock.
+    pub stage_ms: Vec<(&'static str, f64)>,
+    /// What a user should know of that frame.
+    pub notices: Vec<Notice>,
+}
+
+/// What [`Slam::process`] found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameResult {
+    /// The frame's index.
+    pub index: u64,
+    /// The frame's time.
+    pub timestamp: Timestamp,
+    /// The depth camera's pose, where there is one.
+    pub world_from_camera: Option<Se3>,
+    /// What became of the frame.
+    pub status: FrameStatus,
+    /// What tracking found; `None` where it was not tried.
+    pub tracked: Option<Tracked>,
+    /// Whether the frame was fused into the map.
+    pub fused: bool,
+    /// Milliseconds that tracking took, waits included.
+    pub track_ms: f64,
+    /// What has become known of an earlier frame.
+    pub report: Option<FrameReport>,
+}
