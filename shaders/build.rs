@@ -13,16 +13,35 @@ use std::path::{Path, PathBuf};
 
 use naga::{AddressSpace, ArraySize, Scalar, ScalarKind, StorageAccess, TypeInner, VectorSize};
 
-/// Passes that come in several variants, each a set of features that the file's `@if(...)` ask for. All others have
-/// one variant without features.
-const VARIANTS: &[(&str, &[&[&str]])] = &[
-    ("integrate", &[&[], &["colour"], &["weighted"], &["colour", "weighted"]]),
-    ("raycast", &[&[], &["pages2"], &["pages2", "pages3"], &["pages2", "pages3", "pages4"]]),
-    ("mesh/vertices", &[&[], &["colour"]]),
-    ("render/colour", &[&[], &["pages2"], &["pages2", "pages3"], &["pages2", "pages3", "pages4"]]),
-    ("photometric/map", &[&[], &["pages2"], &["pages2", "pages3"], &["pages2", "pages3", "pages4"]]),
-    ("photometric/sums", &[&[], &["rgb"]]),
+/// Passes that come in several variants, for the features that the file's `@if(...)` ask for. Each entry of a pass is a choice
+/// of feature sets; the variants are all combinations. Passes that are not listed have one variant without features.
+const VARIANTS: &[(&str, &[Choice])] = &[
+    ("confidence", &[PAGES]),
+    ("integrate", &[F32, COLOUR, WEIGHTED, CONFIDENCE]),
+    ("mesh/gather", &[F32]),
+    ("mesh/signs", &[F32]),
+    ("mesh/vertices", &[F32, COLOUR, CONFIDENCE]),
+    ("photometric/map", &[PAGES]),
+    ("photometric/sums", &[&[&[], &["rgb"]]]),
+    ("raycast", &[F32, PAGES]),
+    ("render/colour", &[PAGES]),
 ];
+
+type Choice = &'static [&'static [&'static str]];
+
+const F32: Choice = &[&[], &["f32"]];
+const COLOUR: Choice = &[&[], &["colour"]];
+const WEIGHTED: Choice = &[&[], &["weighted"]];
+const CONFIDENCE: Choice = &[&[], &["confidence"]];
+const PAGES: Choice = &[&[], &["pages2"], &["pages2", "pages3"], &["pages2", "pages3", "pages4"]];
+
+/// All combinations of choices, each one's features in the choices' order.
+fn combinations(choices: &[Choice]) -> Vec<Vec<&'static str>> {
+    choices.iter().fold(vec![Vec::new()], |before, choice| {
+        let with = |features: &Vec<&'static str>, set: &&[&'static str]| [features.as_slice(), *set].concat();
+        before.iter().flat_map(|features| choice.iter().map(|set| with(features, set))).collect()
+    })
+}
 
 type Result<T> = std::result::Result<T, String>;
 
@@ -121,7 +140,7 @@ struct Binding {
 }
 
 struct Variant {
-    features: &'static [&'static str],
+    features: Vec<&'static str>,
     source: String,
     module: naga::Module,
     bindings: Vec<Binding>,
@@ -135,8 +154,7 @@ struct Pass {
 
 impl Pass {
     fn new(root: &Path, file: &str) -> Result<Self> {
-        const PLAIN: &[&[&str]] = &[&[]];
-        let feature_sets = VARIANTS.iter().find(|(name, _)| *name == file).map_or(PLAIN, |(_, sets)| sets);
+        let choices = VARIANTS.iter().find(|(name, _)| *name == file).map_or(&[][..], |(_, choices)| choices);
         let text =
             std::fs::read_to_string(root.join(format!("{file}.wgsl"))).map_err(|e| format!("{file}.wgsl: {e}"))?;
         let doc = text.lines().map_while(|l| l.strip_prefix("//")).map(|l| format!("///{l}\n")).collect::<String>();
@@ -144,9 +162,9 @@ impl Pass {
             return Err(format!("{file}.wgsl must start with a comment that says what the pass does"));
         }
         let known: BTreeSet<&'static str> =
-            VARIANTS.iter().flat_map(|(_, sets)| sets.iter().copied().flatten().copied()).collect();
-        let variants = feature_sets
-            .iter()
+            VARIANTS.iter().flat_map(|(_, choices)| combinations(choices)).flatten().collect();
+        let variants = combinations(choices)
+            .into_iter()
             .map(|features| Variant::new(root, file, features, &known))
             .collect::<Result<Vec<_>>>()?;
         Ok(Self { file: file.into(), doc, variants })
@@ -227,7 +245,7 @@ impl Pass {
 }
 
 impl Variant {
-    fn new(root: &Path, file: &str, features: &'static [&'static str], known: &BTreeSet<&'static str>) -> Result<Self> {
+    fn new(root: &Path, file: &str, features: Vec<&'static str>, known: &BTreeSet<&'static str>) -> Result<Self> {
         let place =
             || if features.is_empty() { format!("{file}.wgsl") } else { format!("{file}.wgsl with {features:?}") };
         let mut compiler = wesl::Wesl::new(root);

@@ -3,7 +3,7 @@
 // words; eight blocks a workgroup.
 import package::shared::camera::{Camera, project, inside};
 import package::shared::map::{Map, VISIBLE, BLOCK_VOXELS, unpack_position};
-import package::shared::distance::{unpack_distance, unpack_weight, pack_distance};
+import package::shared::distance::{Voxel, unpack_distance, unpack_weight, pack_distance};
 
 struct Params {
     depth_camera: Camera,
@@ -16,19 +16,29 @@ struct Params {
     stop_at_max_weight: u32,
     // Share of the truncation band in which colour is fused.
     colour_band: f32,
+    // What a voxel that claims to be near a surface loses of its weight where it is seen to be empty.
+    empty_loss: u32,
+    unused_a: u32,
+    unused_b: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
 @group(0) @binding(2) var<storage, read> visible: array<u32>;
 @group(0) @binding(3) var<storage, read> keys: array<vec2<u32>>;
-@if(!weighted) @group(0) @binding(4) var<storage, read> depth: array<f32>;
-@group(0) @binding(5) var<storage, read_write> distances: array<u32>;
+@if(!weighted && !confidence) @group(0) @binding(4) var<storage, read> depth: array<f32>;
+@group(0) @binding(5) var<storage, read_write> distances: array<Voxel>;
 @if(colour) @group(0) @binding(6) var<storage, read> image: array<u32>;
 @if(colour) @group(0) @binding(7) var<storage, read_write> colours: array<u32>;
 // Depth, and how much it counts, a whole number of at least 1 (view/observations). One buffer in place of two, so that
 // there is room for another below the limit of eight.
-@if(weighted) @group(0) @binding(8) var<storage, read> observations: array<vec2<f32>>;
+@if(weighted || confidence) @group(0) @binding(8) var<storage, read> observations: array<vec2<f32>>;
+@if(confidence) @group(0) @binding(9) var<storage, read_write> confidences: array<f32>;
+
+// What the best observation adds to a weight by noise.
+// Distances (in truncation bands) above this claim no surface.
+const NEARLY_EMPTY: f32 = 0.95;
+@if(confidence) const BEST_OBSERVATION: f32 = 16.0;
 
 @if(colour) fn texel(x: u32, y: u32) -> vec4<f32> {
     return unpack4x8unorm(image[y * params.colour_camera.size.x + x]) * 255.0;
@@ -100,18 +110,22 @@ fn main(
                     continue;
                 }
                 let pixel_at = u32(pixel.y) * params.depth_camera.size.x + u32(pixel.x);
-                @if(!weighted) let measured = depth[pixel_at];
-                @if(weighted) let observation = observations[pixel_at];
-                @if(weighted) let measured = observation.x;
+                @if(!weighted && !confidence) let measured = depth[pixel_at];
+                @if(weighted || confidence) let observation = observations[pixel_at];
+                @if(weighted || confidence) let measured = observation.x;
                 let eta = measured - p.z;
                 if measured <= 0.0 || eta < -params.map.truncation_m {
                     continue;
                 }
                 let at = in_page * BLOCK_VOXELS + x + 8u * y + 64u * z;
-                let word = distances[at];
-                let weight = unpack_weight(word);
+                let voxel_before = distances[at];
+                let old = unpack_distance(voxel_before);
+                var weight = unpack_weight(voxel_before);
+                // Seen through, but said to be near a surface: what stood there is gone.
+                let gone = params.empty_loss > 0u && eta * per_mu >= 1.0 && old < NEARLY_EMPTY;
+                @if(confidence) let before = f32(weight);
+                weight -= min(select(0u, params.empty_loss, gone), weight);
                 if params.stop_at_max_weight == 0u || weight < params.max_weight {
-                    let old = unpack_distance(word);
                     @if(!weighted) {
                         let fused = old + (min(eta * per_mu, 1.0) - old) / f32(weight + 1u);
                         distances[at] = pack_distance(fused, min(weight + 1u, params.max_weight));
@@ -121,6 +135,11 @@ fn main(
                         let fused = old + (min(eta * per_mu, 1.0) - old) * observation.y / f32(weight + more);
                         distances[at] = pack_distance(fused, min(weight + more, params.max_weight));
                     }
+                }
+                @if(confidence) {
+                    // As if by so many of the best observations. What is taken back of the weight is taken back here too.
+                    let kept = select(confidences[at] * f32(weight) / before, 0.0, before == 0.0);
+                    confidences[at] = min(kept + observation.y / BEST_OBSERVATION, f32(params.max_weight));
                 }
                 @if(colour) {
                     if abs(eta * per_mu) <= params.colour_band {

@@ -65,8 +65,8 @@ fn cast_ray(pixel: vec2<u32>) -> vec4<f32> {
         let p = origin + t * direction + 0.5;
         let voxel = vec3<i32>(floor(p));
         let block = find_in_grid(params.map, block_of(voxel));
-        let word = load_distance_or_zero(params.map, block, index_in_block(voxel));
-        distance = unpack_distance(word);
+        let seen = load_distance_or_zero(params.map, block, index_in_block(voxel));
+        distance = unpack_distance(seen);
         var step = band;
         if block == 0u {
             // A block at a time, exactly to its border: no step jumps over the next one's corner.
@@ -74,7 +74,7 @@ fn cast_ray(pixel: vec2<u32>) -> vec4<f32> {
             let corner = vec3<f32>(block_of(voxel) * 8);
             let border = (select(corner, corner + 8.0, forward) - p) * inverse;
             step = max(min(border.x, min(border.y, border.z)), 0.0) + 0.01;
-        } else if unpack_weight(word) == 0u {
+        } else if unpack_weight(seen) == 0u {
             // Never seen: neither in front of a surface nor behind one.
             state = SEARCH_BLOCK_FINE;
         } else if distance > 0.0 {

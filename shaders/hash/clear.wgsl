@@ -1,11 +1,11 @@
-// Zeroes the voxels of those of the given blocks that lie in one page.
-import package::shared::map::BLOCK_VOXELS;
+// Zeroes one plane's voxels of those of the given blocks that lie in one page.
 
 struct Params {
     count: u32,
     page: u32,
     page_shift: u32,
-    unused: u32,
+    // Words of a block in this plane.
+    block_words: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -21,8 +21,8 @@ fn main(
     for (var i = group.x; i < params.count; i += groups.x) {
         let block = blocks[i];
         if (block >> params.page_shift) == params.page {
-            let first = (block & ((1u << params.page_shift) - 1u)) * BLOCK_VOXELS;
-            for (var voxel = lane; voxel < BLOCK_VOXELS; voxel += 64u) {
+            let first = (block & ((1u << params.page_shift) - 1u)) * params.block_words;
+            for (var voxel = lane; voxel < params.block_words; voxel += 64u) {
                 voxels[first + voxel] = 0u;
             }
         }

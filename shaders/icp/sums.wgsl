@@ -22,7 +22,7 @@ struct Params {
     huber: f32,
     // How a pixel's weight follows its depth: one of shared/weights.wgsl's constants.
     depth_weight: u32,
-    // Surface points count by how often they were observed, up to so often; 0 where all count alike.
+    // Surface points count by their confidence, or by how often they were observed, up to this; 0 where all count alike.
     full_confidence: f32,
     // Surface points observed less often are no partners.
     least_confidence: f32,
@@ -90,7 +90,9 @@ fn pair(pixel: vec2<u32>) -> Pair {
         let beyond = f32(dot(offset, params.pivot - world) < 0.0);
         return Pair(vec3(0.0), vec3(0.0), 0.0, weight, 0.0, 1.0 - beyond, beyond);
     }
-    let confidence = select(1.0, min((model.w - 1.0) / params.full_confidence, 1.0), params.full_confidence > 0.0);
+    // The map's confidence, if it has one, or how often the point was observed.
+    let observed = select(model.w - 1.0, normal.w - 2.0, normal.w >= 2.0);
+    let confidence = select(1.0, min(observed / params.full_confidence, 1.0), params.full_confidence > 0.0);
     return Pair(normal.xyz, cross(world - params.pivot, normal.xyz), residual, weight, weight * confidence, 0.0, 0.0);
 }
 

@@ -1,6 +1,7 @@
 // Copies the voxels of those blocks of a range that have vertices, each with its neighbours' nearest layers, out of one
 // page. Run once a page.
 import package::shared::map::{BLOCK_VOXELS, index_in_block};
+import package::shared::distance::Voxel;
 import package::shared::padded::{PADDED_VOXELS, PADDED_SIDE, neighbour_index};
 
 struct Params {
@@ -13,8 +14,8 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> neighbours: array<u32>;
 @group(0) @binding(2) var<storage, read> vertex_offsets: array<u32>;
-@group(0) @binding(3) var<storage, read> voxels: array<u32>;
-@group(0) @binding(4) var<storage, read_write> padded: array<u32>;
+@group(0) @binding(3) var<storage, read> voxels: array<Voxel>;
+@group(0) @binding(4) var<storage, read_write> padded: array<Voxel>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -31,7 +32,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         for (var x = -1; x <= 9; x++) {
             let voxel = vec3(x, y, z);
             let source = neighbours[block * 27u + neighbour_index(voxel >> vec3(3u))];
-            var word = 0u;
+            var word = Voxel();
             if source != 0u {
                 if ((source - 1u) >> params.page_shift) != params.page {
                     continue;

@@ -3,7 +3,7 @@
 import package::shared::map::{BLOCK_VOXELS, index_in_block};
 import package::shared::padded::neighbour_index;
 import package::shared::signs::{SIGN_SIDE, SIGN_ROWS};
-import package::shared::distance::unpack_weight;
+import package::shared::distance::{Voxel, sign_bit, unpack_weight};
 
 struct Params {
     count: u32,
@@ -14,7 +14,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> neighbours: array<u32>;
-@group(0) @binding(2) var<storage, read> voxels: array<u32>;
+@group(0) @binding(2) var<storage, read> voxels: array<Voxel>;
 @group(0) @binding(3) var<storage, read_write> signs: array<u32>;
 
 @compute @workgroup_size(64)
@@ -46,11 +46,9 @@ fn sign_bits(source: u32, at: u32, count: u32) -> u32 {
     let first = ((source - 1u) & ((1u << params.page_shift) - 1u)) * BLOCK_VOXELS + at;
     var bits = 0u;
     for (var x = 0u; x < count; x++) {
-        let word = voxels[first + x];
-        // The upper half of the fixed-point numbers are the negative distances.
-        let negative = (word >> 15u) & 1u;
-        let seen = u32(unpack_weight(word) >= params.min_weight);
-        bits |= (negative | (seen << 16u)) << x;
+        let voxel = voxels[first + x];
+        let seen = u32(unpack_weight(voxel) >= params.min_weight);
+        bits |= (sign_bit(voxel) | (seen << 16u)) << x;
     }
     return bits;
 }

@@ -3,7 +3,7 @@
 import package::shared::map::unpack_position;
 import package::shared::padded::{PADDED_VOXELS, padded_index};
 import package::shared::edges::{EDGE_WORDS, EDGE_GROUPS, EDGE_STRIDE};
-import package::shared::distance::unpack_weight;
+import package::shared::distance::{Voxel, scaled_distance, unpack_weight};
 
 struct Params {
     first: u32,
@@ -17,34 +17,30 @@ struct Params {
 @group(0) @binding(1) var<storage, read> keys: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read> edges: array<u32>;
 @group(0) @binding(3) var<storage, read> vertex_offsets: array<u32>;
-@group(0) @binding(4) var<storage, read> padded: array<u32>;
+@group(0) @binding(4) var<storage, read> padded: array<Voxel>;
 @if(colour) @group(0) @binding(5) var<storage, read> padded_colours: array<u32>;
-// Eight words a vertex: position (world, metres), colour (red, green, blue from the lowest byte up), normal, weight.
+@if(confidence) @group(0) @binding(7) var<storage, read> padded_confidences: array<f32>;
+// Eight words a vertex: position (world, metres), colour (red, green, blue from the lowest byte up), normal, and in one word
+// weight (low half) and confidence (high half, in sixteenths, which are the least observations).
 @group(0) @binding(6) var<storage, read_write> vertices: array<u32>;
 
-fn word_at(block: u32, voxel: vec3<i32>) -> u32 {
+fn voxel_at(block: u32, voxel: vec3<i32>) -> Voxel {
     return padded[block * PADDED_VOXELS + padded_index(voxel)];
-}
-
-// A distance in steps of its fixed-point number. Exact, unlike the distance itself, so that close to a voxel too the
-// surface's place is rounded only once.
-fn distance_in_steps(word: u32) -> f32 {
-    return 32767.5 - f32(word & 0xffffu);
 }
 
 // Derivative of the distance along an axis, from the neighbours that were seen.
 fn slope(block: u32, voxel: vec3<i32>, axis: vec3<i32>, here: f32) -> f32 {
-    let below = word_at(block, voxel - axis);
-    let above = word_at(block, voxel + axis);
+    let below = voxel_at(block, voxel - axis);
+    let above = voxel_at(block, voxel + axis);
     let has_below = unpack_weight(below) > 0u;
     let has_above = unpack_weight(above) > 0u;
     if has_below && has_above {
-        return 0.5 * (distance_in_steps(above) - distance_in_steps(below));
+        return 0.5 * (scaled_distance(above) - scaled_distance(below));
     }
     if has_above {
-        return distance_in_steps(above) - here;
+        return scaled_distance(above) - here;
     }
-    return select(0.0, here - distance_in_steps(below), has_below);
+    return select(0.0, here - scaled_distance(below), has_below);
 }
 
 fn gradient(block: u32, voxel: vec3<i32>, here: f32) -> vec3<f32> {
@@ -91,10 +87,10 @@ fn write_vertex(block: u32, corner: vec3<i32>, bit: u32, out: u32) {
     let a = vec3<i32>(vec3(index & 7u, (index >> 3u) & 7u, index >> 6u));
     let along = vec3<i32>(vec3(u32(axis == 0u), u32(axis == 1u), u32(axis == 2u)));
     let b = a + along;
-    let word_a = word_at(block, a);
-    let word_b = word_at(block, b);
-    let da = distance_in_steps(word_a);
-    let db = distance_in_steps(word_b);
+    let voxel_a = voxel_at(block, a);
+    let voxel_b = voxel_at(block, b);
+    let da = scaled_distance(voxel_a);
+    let db = scaled_distance(voxel_b);
     // The signs differ, so that the denominator is not zero.
     let t = da / (da - db);
     let position = (vec3<f32>(corner + a) + t * vec3<f32>(along)) * params.voxel_size_m;
@@ -110,5 +106,11 @@ fn write_vertex(block: u32, corner: vec3<i32>, bit: u32, out: u32) {
     vertices[8u * out + 4u] = bitcast<u32>(normal.x);
     vertices[8u * out + 5u] = bitcast<u32>(normal.y);
     vertices[8u * out + 6u] = bitcast<u32>(normal.z);
-    vertices[8u * out + 7u] = min(unpack_weight(word_a), unpack_weight(word_b));
+    var weight = min(min(unpack_weight(voxel_a), unpack_weight(voxel_b)), 0xffffu);
+    @if(confidence) {
+        let confidence_a = padded_confidences[block * PADDED_VOXELS + padded_index(a)];
+        let confidence_b = padded_confidences[block * PADDED_VOXELS + padded_index(b)];
+        weight |= u32(min(16.0 * min(confidence_a, confidence_b) + 0.5, 65535.0)) << 16u;
+    }
+    vertices[8u * out + 7u] = weight;
 }

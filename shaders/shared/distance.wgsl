@@ -1,29 +1,50 @@
-// Truncated signed distances: one word a voxel, the low half (1 - distance) / 2 as 16-bit fixed point, the high half the
-// weight, so that zeroed memory is space never seen.
+// Truncated signed distances. One word a voxel: the low half (1 - distance) / 2 as 16-bit fixed point, the high half the
+// weight. With `f32` two words: 1 - distance in single precision, and the weight. Either way zeroed memory is space never
+// seen. What a voxel looks like is known here alone.
 import package::shared::map::{Map, BLOCK_VOXELS, block_of};
 import package::shared::grid::find_in_grid;
 
-@group(1) @binding(3) var<storage, read> distance0: array<u32>;
-@if(pages2) @group(1) @binding(4) var<storage, read> distance1: array<u32>;
-@if(pages3) @group(1) @binding(5) var<storage, read> distance2: array<u32>;
-@if(pages4) @group(1) @binding(6) var<storage, read> distance3: array<u32>;
+@if(f32) alias Voxel = vec2<u32>;
+@if(!f32) alias Voxel = u32;
+
+@group(1) @binding(3) var<storage, read> distance0: array<Voxel>;
+@if(pages2) @group(1) @binding(4) var<storage, read> distance1: array<Voxel>;
+@if(pages3) @group(1) @binding(5) var<storage, read> distance2: array<Voxel>;
+@if(pages4) @group(1) @binding(6) var<storage, read> distance3: array<Voxel>;
 
 const STEP: f32 = 1.0 / 32767.5;
 
-fn unpack_distance(word: u32) -> f32 {
-    return 1.0 - f32(word & 0xffffu) * STEP;
+fn unpack_distance(voxel: Voxel) -> f32 {
+    @if(f32) return 1.0 - bitcast<f32>(voxel.x);
+    @if(!f32) return 1.0 - f32(voxel & 0xffffu) * STEP;
 }
 
-fn unpack_weight(word: u32) -> u32 {
-    return word >> 16u;
+// The distance times a positive factor, by which it is exact for fixed-point numbers too: where only ratios of distances
+// matter, so that close to a voxel the surface's place is rounded only once.
+fn scaled_distance(voxel: Voxel) -> f32 {
+    @if(f32) return 1.0 - bitcast<f32>(voxel.x);
+    @if(!f32) return 32767.5 - f32(voxel & 0xffffu);
 }
 
-fn pack_distance(distance: f32, weight: u32) -> u32 {
-    return u32(round((1.0 - clamp(distance, -1.0, 1.0)) * 32767.5)) | (weight << 16u);
+// 1 where the distance is negative, or else 0.
+fn sign_bit(voxel: Voxel) -> u32 {
+    @if(f32) return u32(bitcast<f32>(voxel.x) > 1.0);
+    // The upper half of the fixed-point numbers are the negative distances.
+    @if(!f32) return (voxel >> 15u) & 1u;
 }
 
-// A voxel's word by block index and index within the block.
-fn load_distance(map: Map, block: u32, voxel: u32) -> u32 {
+fn unpack_weight(voxel: Voxel) -> u32 {
+    @if(f32) return voxel.y;
+    @if(!f32) return voxel >> 16u;
+}
+
+fn pack_distance(distance: f32, weight: u32) -> Voxel {
+    @if(f32) return vec2(bitcast<u32>(1.0 - clamp(distance, -1.0, 1.0)), weight);
+    @if(!f32) return u32(round((1.0 - clamp(distance, -1.0, 1.0)) * 32767.5)) | (weight << 16u);
+}
+
+// A voxel by block index and index within the block.
+fn load_distance(map: Map, block: u32, voxel: u32) -> Voxel {
     @if(pages2) {
         let page = block >> map.page_shift;
         let at = (block & ((1u << map.page_shift) - 1u)) * BLOCK_VOXELS + voxel;
@@ -39,9 +60,9 @@ fn load_distance(map: Map, block: u32, voxel: u32) -> u32 {
     }
 }
 
-// A voxel's word by its block's index plus one; zero (never seen) for a block that is not there.
-fn load_distance_or_zero(map: Map, block: u32, voxel: u32) -> u32 {
-    return select(load_distance(map, max(block, 1u) - 1u, voxel), 0u, block == 0u);
+// A voxel by its block's index plus one; zero (never seen) for a block that is not there.
+fn load_distance_or_zero(map: Map, block: u32, voxel: u32) -> Voxel {
+    return select(load_distance(map, max(block, 1u) - 1u, voxel), Voxel(), block == 0u);
 }
 
 // Trilinear interpolation at a position in voxel units: the distance, and the smallest weight of the eight voxels.
@@ -69,6 +90,13 @@ fn interpolate(map: Map, position: vec3<f32>) -> vec2<f32> {
     let x10 = mix(unpack_distance(w010), unpack_distance(w110), f.x);
     let x01 = mix(unpack_distance(w001), unpack_distance(w101), f.x);
     let x11 = mix(unpack_distance(w011), unpack_distance(w111), f.x);
-    let weight = min(min(min(w000, w100), min(w010, w110)), min(min(w001, w101), min(w011, w111))) >> 16u;
-    return vec2(mix(mix(x00, x10, f.y), mix(x01, x11, f.y), f.z), f32(weight));
+    let low_weights = min(
+        min(unpack_weight(w000), unpack_weight(w100)),
+        min(unpack_weight(w010), unpack_weight(w110)),
+    );
+    let high_weights = min(
+        min(unpack_weight(w001), unpack_weight(w101)),
+        min(unpack_weight(w011), unpack_weight(w111)),
+    );
+    return vec2(mix(mix(x00, x10, f.y), mix(x01, x11, f.y), f.z), f32(min(low_weights, high_weights)));
 }

@@ -7,7 +7,7 @@
 use std::time::Instant;
 
 use glam::{IVec3, Vec3};
-use itm_core::voxel::{BLOCK_VOXELS, BlockKey, ColourVoxel, DistanceVoxel};
+use itm_core::voxel::{BLOCK_VOXELS, BlockKey, ColourVoxel, DistanceVoxel, VoxelKind};
 use itm_gpu::mesh::{Extract, Options};
 use itm_gpu::{BlockMap, Device, Error, HostBlock, MapLayout};
 
@@ -29,19 +29,20 @@ fn main() -> Result<(), Error> {
         if height((position * 8).as_vec3() + 3.5).abs() > BAND_VOXELS + 8.0 {
             continue;
         }
-        let voxels: [DistanceVoxel; BLOCK_VOXELS] = std::array::from_fn(|i| {
-            let i = i as i32;
+        let distance = |i: i32| {
             let at = position * 8 + IVec3::new(i & 7, i >> 3 & 7, i >> 6);
-            DistanceVoxel::new(height(at.as_vec3()) / BAND_VOXELS, 9)
-        });
-        blocks.push((BlockKey { submap: 0, position }, voxels));
+            DistanceVoxel::new(height(at.as_vec3()) / BAND_VOXELS, 9).0
+        };
+        let colour = ColourVoxel::new([200, 100, 50], 3).0;
+        let words: Vec<u32> = (0..BLOCK_VOXELS as i32).map(distance).chain([colour; BLOCK_VOXELS]).collect();
+        blocks.push((BlockKey { submap: 0, position }, words));
     }
     for colour in [false, true] {
-        let layout = MapLayout { voxel_size_m: 0.005, truncation_m: 0.025, colour };
+        let layout = MapLayout { voxel_size_m: 0.005, truncation_m: 0.025, kind: VoxelKind { colour, ..VoxelKind::default() } };
         let mut map = BlockMap::new(&device, layout, blocks.len() as u32)?;
-        let colours = [ColourVoxel::new([200, 100, 50], 3); BLOCK_VOXELS];
+        let planes = layout.kind.words();
         let host: Vec<_> =
-            blocks.iter().map(|(key, distances)| HostBlock { key: *key, distances, colours: Some(&colours) }).collect();
+            blocks.iter().map(|(key, words)| HostBlock { key: *key, words: &words[..planes * BLOCK_VOXELS] }).collect();
         let start = Instant::now();
         map.insert_blocks(&host)?;
         println!("{} blocks uploaded in {:.0?}", host.len(), start.elapsed());

@@ -2,6 +2,8 @@
 
 use std::sync::{Arc, Mutex};
 
+use itm_core::voxel::VoxelKind;
+
 use crate::Error;
 
 /// Kind of an adapter, best first.
@@ -89,14 +91,15 @@ impl Capabilities {
         }
     }
 
-    /// Blocks in a full page, as a power of two: one binding of 2048 bytes a block.
-    pub fn page_shift(&self) -> u32 {
-        (self.max_binding_bytes / crate::map::BLOCK_BYTES).max(1).ilog2()
+    /// Blocks in a full page of voxels of a kind, as a power of two: its widest plane fits one binding.
+    pub fn page_shift(&self, kind: VoxelKind) -> u32 {
+        let block_bytes = crate::map::BLOCK_BYTES * kind.distance_words() as u64;
+        (self.max_binding_bytes / block_bytes).max(1).ilog2()
     }
 
-    /// Blocks that the largest map can hold.
-    pub fn max_blocks(&self) -> u64 {
-        u64::from(self.max_pages) << self.page_shift()
+    /// Blocks that the largest map of voxels of a kind can hold.
+    pub fn max_blocks(&self, kind: VoxelKind) -> u64 {
+        u64::from(self.max_pages) << self.page_shift(kind)
     }
 }
 
@@ -189,7 +192,7 @@ impl Device {
                     max_binding_bytes: capabilities.max_binding_bytes,
                     max_storage_buffers: limits.max_storage_buffers_per_shader_stage,
                     max_workgroup: limits.max_compute_invocations_per_workgroup,
-                    max_blocks: capabilities.max_blocks(),
+                    max_blocks: capabilities.max_blocks(VoxelKind::default()),
                     timestamps,
                     unfit: check_limits(&info.name, &limits).err().map(|e| e.to_string()),
                 }

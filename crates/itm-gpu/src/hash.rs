@@ -83,9 +83,10 @@ impl Hash {
         recorder.dispatch(&self.remove, &bindings, Groups::linear(count.into(), 64));
         let bindings = hash::removed::Bindings { params: hash::removed::Params { count }, counters: &map.counters };
         recorder.dispatch(&self.removed, &bindings, Groups::Count([1, 1, 1]));
-        for pages in [&map.distances, &map.colours] {
-            for (voxels, page) in pages.iter().zip(0..) {
-                let params = hash::clear::Params { count, page, page_shift: map.page_shift(), unused: 0 };
+        for plane in &map.planes {
+            let block_words = plane.block_words() as u32;
+            for (voxels, page) in plane.pages.iter().zip(0..) {
+                let params = hash::clear::Params { count, page, page_shift: map.page_shift(), block_words };
                 let bindings = hash::clear::Bindings { params, blocks: &list, voxels };
                 recorder.dispatch(&self.clear, &bindings, Groups::linear(count.into(), 1));
             }

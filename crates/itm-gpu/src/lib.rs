@@ -8,6 +8,7 @@
 //! [`mod@reference`], its tests and its column in the timings.
 
 pub mod allocate;
+pub mod confidence;
 mod device;
 mod error;
 pub mod evaluate;

@@ -1,14 +1,14 @@
 //! The voxel block map's memory.
 
 use glam::{DVec3, IVec3, UVec3};
-use itm_core::voxel::{BLOCK_SIDE, BLOCK_VOXELS, BlockKey, ColourVoxel, DistanceVoxel};
+use itm_core::voxel::{BLOCK_SIDE, BLOCK_VOXELS, BlockKey, DistanceKind, VoxelKind};
 use itm_core::{Intrinsics, Se3};
 use itm_shaders::types;
 
 use crate::recorder::Recorder;
 use crate::{Device, Error};
 
-/// Bytes of one block in one plane.
+/// Bytes of one block in a plane of one word a voxel.
 pub(crate) const BLOCK_BYTES: u64 = BLOCK_VOXELS as u64 * 4;
 /// Blocks that wait for room; more are dropped, and counted.
 pub(crate) const PENDING_CAPACITY: u32 = 1 << 18;
@@ -38,8 +38,33 @@ pub struct MapLayout {
     pub voxel_size_m: f32,
     /// Truncation band in metres.
     pub truncation_m: f32,
-    /// Whether there is a colour plane.
-    pub colour: bool,
+    /// What a voxel holds.
+    pub kind: VoxelKind,
+}
+
+/// One part of all voxels, in pages.
+#[derive(Clone, Debug)]
+pub(crate) struct Plane {
+    label: &'static str,
+    /// Words of a voxel.
+    words: usize,
+    pub(crate) pages: Vec<wgpu::Buffer>,
+}
+
+impl Plane {
+    /// Words of a voxel.
+    pub(crate) fn words(&self) -> usize {
+        self.words
+    }
+
+    /// Words of a block.
+    pub(crate) fn block_words(&self) -> usize {
+        self.words * BLOCK_VOXELS
+    }
+
+    fn block_bytes(&self) -> u64 {
+        self.block_words() as u64 * 4
+    }
 }
 
 /// Voxel blocks and what finds them: planes of voxels in pages, a table of keys, a hash of block indices, a grid of block
@@ -68,19 +93,17 @@ pub struct BlockMap {
     pub(crate) visible_counts: wgpu::Buffer,
     pub(crate) boxes: wgpu::Buffer,
     pub(crate) fragment_counts: wgpu::Buffer,
-    pub(crate) distances: Vec<wgpu::Buffer>,
-    pub(crate) colours: Vec<wgpu::Buffer>,
+    /// In the order of [`VoxelKind::block_words`]: distances, then colours and confidences where there are.
+    pub(crate) planes: Vec<Plane>,
 }
 
-/// A block's voxels in the host's memory, indexed as [`itm_core::voxel::index_in_block`] says.
+/// A block in the host's memory.
 #[derive(Clone, Copy, Debug)]
 pub struct HostBlock<'a> {
     /// Where the block lies.
     pub key: BlockKey,
-    /// Its distances.
-    pub distances: &'a [DistanceVoxel; BLOCK_VOXELS],
-    /// Its colours, if known. A map without colours leaves them aside.
-    pub colours: Option<&'a [ColourVoxel; BLOCK_VOXELS]>,
+    /// Its voxels, plane by plane (see [`VoxelKind::block_words`]), indexed as [`itm_core::voxel::index_in_block`] says.
+    pub words: &'a [u32],
 }
 
 /// A frame's record: the map's counters right after it.
@@ -143,12 +166,17 @@ impl BlockMap {
     /// Where the device has no room for them.
     pub fn new(device: &Device, layout: MapLayout, blocks: u32) -> Result<Self, Error> {
         let empty = || device.storage("empty", 16);
+        let kind = layout.kind;
+        let plane = |label, words| Plane { label, words, pages: Vec::new() };
+        let mut planes = vec![plane("distances", kind.distance_words())];
+        planes.extend(kind.colour.then(|| plane("colours", 1)));
+        planes.extend(kind.confidence.then(|| plane("confidences", 1)));
         let mut map = Self {
             device: device.clone(),
             layout,
             capacity: 0,
             hash_slots: 0,
-            page_shift: device.capabilities().page_shift(),
+            page_shift: device.capabilities().page_shift(kind),
             submap: 0,
             grid_origin: IVec3::ZERO,
             grid_size: UVec3::ZERO,
@@ -166,8 +194,7 @@ impl BlockMap {
             visible_counts: empty(),
             boxes: empty(),
             fragment_counts: empty(),
-            distances: Vec::new(),
-            colours: Vec::new(),
+            planes,
         };
         map.grow(blocks)?;
         Ok(map)
@@ -185,12 +212,12 @@ impl BlockMap {
 
     /// Blocks that the device can hold at most.
     pub fn max_capacity(&self) -> u32 {
-        u32::try_from(self.device.capabilities().max_blocks()).unwrap_or(u32::MAX).min(1 << 30)
+        u32::try_from(self.device.capabilities().max_blocks(self.layout.kind)).unwrap_or(u32::MAX).min(1 << 30)
     }
 
     /// Bytes of device memory that the map takes.
     pub fn device_bytes(&self) -> u64 {
-        let pages = self.distances.iter().chain(&self.colours);
+        let pages = self.planes.iter().flat_map(|plane| &plane.pages);
         let rest = [
             &self.counters,
             &self.indirect,
@@ -253,18 +280,15 @@ impl BlockMap {
         replace(&mut self.fragment_counts, "fragment counts", new * 4, 0);
 
         let page_blocks = 1_u64 << self.page_shift;
-        for (label, pages) in
-            [("distances", Some(&mut self.distances)), ("colours", self.layout.colour.then_some(&mut self.colours))]
-        {
-            let Some(pages) = pages else { continue };
+        for plane in &mut self.planes {
             let count = new.div_ceil(page_blocks) as usize;
             for page in 0..count {
-                let wanted = (new - page as u64 * page_blocks).min(page_blocks) * BLOCK_BYTES;
-                match pages.get_mut(page) {
-                    None => pages.push(device.storage(label, wanted)),
+                let wanted = (new - page as u64 * page_blocks).min(page_blocks) * plane.block_bytes();
+                match plane.pages.get_mut(page) {
+                    None => plane.pages.push(device.storage(plane.label, wanted)),
                     Some(buffer) if buffer.size() < wanted => {
                         let kept = buffer.size();
-                        replace(buffer, label, wanted, kept);
+                        replace(buffer, plane.label, wanted, kept);
                     }
                     Some(_) => {}
                 }
@@ -304,15 +328,15 @@ impl BlockMap {
             let room = (upload - in_page % upload) as usize;
             let (now, later) = rest.split_at(room.min(rest.len()));
             let page = (index >> self.page_shift) as usize;
-            let at = u64::from(in_page) * BLOCK_BYTES;
             let keys: Vec<[u32; 2]> = now.iter().map(|b| b.key.pack()).collect();
             queue.write_buffer(&self.keys, u64::from(index) * 8, bytemuck::cast_slice(&keys));
-            let distances: Vec<_> = now.iter().map(|b| *b.distances).collect();
-            queue.write_buffer(&self.distances[page], at, bytemuck::cast_slice(distances.as_flattened()));
-            if let Some(colours) = self.colours.get(page) {
-                let unseen = [ColourVoxel::default(); BLOCK_VOXELS];
-                let words: Vec<_> = now.iter().map(|b| *b.colours.unwrap_or(&unseen)).collect();
-                queue.write_buffer(colours, at, bytemuck::cast_slice(words.as_flattened()));
+            let mut first_word = 0;
+            for plane in &self.planes {
+                let end = first_word + plane.block_words();
+                let words: Vec<u32> = now.iter().flat_map(|b| &b.words[first_word..end]).copied().collect();
+                let at = u64::from(in_page) * plane.block_bytes();
+                queue.write_buffer(&plane.pages[page], at, bytemuck::cast_slice(&words));
+                first_word = end;
             }
             // Lets the staging buffers go.
             queue.submit([]);
@@ -448,25 +472,49 @@ impl BlockMap {
         Ok(packed.into_iter().map(|k| (k != [u32::MAX; 2]).then(|| itm_core::voxel::BlockKey::unpack(k))).collect())
     }
 
-    /// Reads one block's distances back (512, indexed as `itm_core::voxel::index_in_block` says). Waits.
+    /// Reads one block's voxels back, plane by plane (see [`VoxelKind::block_words`]). Waits.
     ///
     /// # Errors
     /// Where the device was lost.
-    pub fn read_distances(&self, block: u32) -> Result<Vec<itm_core::voxel::DistanceVoxel>, Error> {
-        self.read_block(&self.distances, block)
+    pub fn read_block(&self, block: u32) -> Result<Vec<u32>, Error> {
+        let in_page = u64::from(block & ((1 << self.page_shift) - 1));
+        let mut words = Vec::with_capacity(self.layout.kind.block_words());
+        for plane in &self.planes {
+            let page = &plane.pages[(block >> self.page_shift) as usize];
+            words.extend(self.device.read::<u32>(page, in_page * plane.block_bytes(), plane.block_bytes())?);
+        }
+        Ok(words)
     }
 
-    /// Reads one block's colours back; empty where the map has none. Waits.
-    ///
-    /// # Errors
-    /// Where the device was lost.
-    pub fn read_colours(&self, block: u32) -> Result<Vec<itm_core::voxel::ColourVoxel>, Error> {
-        if self.colours.is_empty() { Ok(Vec::new()) } else { self.read_block(&self.colours, block) }
+    /// The distances' pages.
+    pub(crate) fn distances(&self) -> &[wgpu::Buffer] {
+        &self.planes[0].pages
     }
 
-    fn read_block<T: bytemuck::Pod>(&self, pages: &[wgpu::Buffer], block: u32) -> Result<Vec<T>, Error> {
-        let in_page = block & ((1 << self.page_shift) - 1);
-        self.device.read(&pages[(block >> self.page_shift) as usize], u64::from(in_page) * BLOCK_BYTES, BLOCK_BYTES)
+    /// The colours' pages; none where the map has no colour.
+    pub(crate) fn colours(&self) -> &[wgpu::Buffer] {
+        if self.layout.kind.colour { &self.planes[1].pages } else { &[] }
+    }
+
+    /// The confidences' pages; none where the map has no confidence.
+    pub(crate) fn confidences(&self) -> &[wgpu::Buffer] {
+        match self.planes.last() {
+            Some(plane) if self.layout.kind.confidence => &plane.pages,
+            _ => &[],
+        }
+    }
+
+    /// The shader features that the distances' kind asks for.
+    pub(crate) fn distance_features(&self) -> &'static [&'static str] {
+        distance_features(self.layout.kind)
+    }
+}
+
+/// The shader features that a kind of distance asks for.
+pub(crate) fn distance_features(kind: VoxelKind) -> &'static [&'static str] {
+    match kind.distance {
+        DistanceKind::I16 => &[],
+        DistanceKind::F32 => &["f32"],
     }
 }
 

@@ -12,13 +12,17 @@
 
 mod cases;
 
+use std::sync::OnceLock;
+
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use itm_core::Mesh;
+use itm_core::voxel::{DistanceKind, VoxelKind};
 use itm_shaders::mesh;
 
 pub(crate) use cases::{edge_start, triangles as triangles_of_case};
 
+use crate::map::Plane;
 use crate::recorder::{Groups, Pipeline};
 use crate::scan::{Scan, Total};
 use crate::{BlockMap, Device, Error, Recorder};
@@ -56,13 +60,15 @@ impl Default for Options {
 pub struct Extract {
     device: Device,
     neighbours: Pipeline,
-    signs: Pipeline,
+    /// By kind of distance.
+    signs: [OnceLock<Pipeline>; 2],
     mark: Pipeline,
     count: Pipeline,
     scan: Scan,
-    gather: Pipeline,
-    vertices: Pipeline,
-    coloured_vertices: Pipeline,
+    /// By whether a voxel has two words.
+    gather: [OnceLock<Pipeline>; 2],
+    /// By whether distances are floats, there are colours, and confidences: a bit each.
+    vertices: [OnceLock<Pipeline>; 8],
     triangles: Pipeline,
     cases: wgpu::Buffer,
 }
@@ -74,7 +80,9 @@ struct Vertex {
     position: [f32; 3],
     colour: [u8; 4],
     normal: [f32; 3],
-    weight: u32,
+    weight: u16,
+    /// In sixteenths.
+    confidence: u16,
 }
 
 /// Blocks that are meshed at a time.
@@ -95,8 +103,8 @@ struct Work<'a> {
     // For each block of a range.
     neighbours: wgpu::Buffer,
     signs: wgpu::Buffer,
-    padded: wgpu::Buffer,
-    padded_colours: wgpu::Buffer,
+    /// A plane each.
+    padded: Vec<wgpu::Buffer>,
 }
 
 /// The offsets on the host: of each block's vertices and triangles, and the totals.
@@ -114,13 +122,12 @@ impl Extract {
         Self {
             device: device.clone(),
             neighbours: Pipeline::plain(device, &mesh::neighbours::PASS),
-            signs: Pipeline::plain(device, &mesh::signs::PASS),
+            signs: Default::default(),
             mark: Pipeline::plain(device, &mesh::mark::PASS),
             count: Pipeline::plain(device, &mesh::count::PASS),
             scan: Scan::new(device),
-            gather: Pipeline::plain(device, &mesh::gather::PASS),
-            vertices: Pipeline::plain(device, &mesh::vertices::PASS),
-            coloured_vertices: Pipeline::new(device, &mesh::vertices::PASS, &["colour"], &[]),
+            gather: Default::default(),
+            vertices: Default::default(),
             triangles: Pipeline::plain(device, &mesh::triangles::PASS),
             cases,
         }
@@ -174,7 +181,7 @@ impl Extract {
                 let _untimed = recorder.submit();
                 if vertex_bytes > 0 {
                     let vertices: Vec<Vertex> = self.device.read_staging(&vertex_staging, vertex_bytes)?;
-                    append_vertices(&mut mesh, &vertices, map.layout().colour);
+                    append_vertices(&mut mesh, &vertices, map.layout().kind);
                 }
                 if triangle_bytes > 0 {
                     mesh.triangles.extend(self.device.read_staging::<[u32; 3]>(&triangle_staging, triangle_bytes)?);
@@ -187,7 +194,10 @@ impl Extract {
 
     fn work<'a>(&self, map: &'a BlockMap, min_weight: u32, blocks: u32, per_range: u32) -> Work<'a> {
         let (all, range) = (u64::from(blocks), u64::from(per_range));
-        let colour_bytes = if map.layout().colour { PADDED_BYTES } else { 0 };
+        let padded = |plane: &Plane| {
+            let bytes = PADDED_BYTES * plane.words() as u64;
+            self.device.storage("mesh padded voxels", range * bytes)
+        };
         Work {
             map,
             min_weight,
@@ -196,8 +206,7 @@ impl Extract {
             triangle_offsets: self.device.storage("mesh triangle offsets", (all * SLICES + 1) * 4),
             neighbours: self.device.storage("mesh neighbours", range * NEIGHBOUR_BYTES),
             signs: self.device.storage("mesh signs", range * SIGN_BYTES),
-            padded: self.device.storage("mesh padded distances", range * PADDED_BYTES),
-            padded_colours: self.device.storage("mesh padded colours", range * colour_bytes),
+            padded: map.planes.iter().map(padded).collect(),
         }
     }
 
@@ -226,7 +235,10 @@ impl Extract {
             hash: &work.map.hash,
         };
         recorder.dispatch(&self.neighbours, &bindings, Groups::linear(u64::from(count) * 27, 64));
-        for (voxels, page) in work.map.distances.iter().zip(0..) {
+        let signs = self.signs[usize::from(work.map.layout().kind.distance == DistanceKind::F32)].get_or_init(|| {
+            Pipeline::new(&self.device, &mesh::signs::PASS, work.map.distance_features(), &[])
+        });
+        for (voxels, page) in work.map.distances().iter().zip(0..) {
             let bindings = mesh::signs::Bindings {
                 params: mesh::signs::Params {
                     count,
@@ -238,7 +250,7 @@ impl Extract {
                 voxels,
                 signs: &work.signs,
             };
-            recorder.dispatch(&self.signs, &bindings, Groups::linear(u64::from(count) * 100, 64));
+            recorder.dispatch(signs, &bindings, Groups::linear(u64::from(count) * 100, 64));
         }
     }
 
@@ -281,9 +293,13 @@ impl Extract {
     ) {
         let Range { first, count } = range;
         self.record_signs(recorder, work, range);
-        let planes = [(&work.map.distances, &work.padded), (&work.map.colours, &work.padded_colours)];
-        for (pages, padded) in planes {
-            for (voxels, page) in pages.iter().zip(0..) {
+        for (plane, padded) in work.map.planes.iter().zip(&work.padded) {
+            let wide = plane.words() == 2;
+            let gather = self.gather[usize::from(wide)].get_or_init(|| {
+                let features: &[&str] = if wide { &["f32"] } else { &[] };
+                Pipeline::new(&self.device, &mesh::gather::PASS, features, &[])
+            });
+            for (voxels, page) in plane.pages.iter().zip(0..) {
                 let bindings = mesh::gather::Bindings {
                     params: mesh::gather::Params { first, count, page, page_shift: work.map.page_shift() },
                     neighbours: &work.neighbours,
@@ -291,10 +307,17 @@ impl Extract {
                     voxels,
                     padded,
                 };
-                recorder.dispatch(&self.gather, &bindings, Groups::linear(u64::from(count) * 121, 64));
+                recorder.dispatch(gather, &bindings, Groups::linear(u64::from(count) * 121, 64));
             }
         }
-        let coloured = work.map.layout().colour;
+        let kind = work.map.layout().kind;
+        let features =
+            [("f32", kind.distance == DistanceKind::F32), ("colour", kind.colour), ("confidence", kind.confidence)];
+        let index: usize = features.iter().zip(0..).map(|((_, on), bit)| usize::from(*on) << bit).sum();
+        let pipeline = self.vertices[index].get_or_init(|| {
+            let names: Vec<_> = features.iter().filter(|(_, on)| *on).map(|(name, _)| *name).collect();
+            Pipeline::new(&self.device, &mesh::vertices::PASS, &names, &[])
+        });
         let bindings = mesh::vertices::Bindings {
             params: mesh::vertices::Params {
                 first,
@@ -305,11 +328,11 @@ impl Extract {
             keys: &work.map.keys,
             edges: &work.edges,
             vertex_offsets: &work.vertex_offsets,
-            padded: &work.padded,
-            padded_colours: coloured.then_some(&work.padded_colours),
+            padded: &work.padded[0],
+            padded_colours: kind.colour.then(|| &work.padded[1]),
+            padded_confidences: work.padded.last().filter(|_| kind.confidence),
             vertices,
         };
-        let pipeline = if coloured { &self.coloured_vertices } else { &self.vertices };
         recorder.dispatch(pipeline, &bindings, Groups::linear(u64::from(count) * 6, 64));
         let bindings = mesh::triangles::Bindings {
             params: mesh::triangles::Params {
@@ -359,11 +382,11 @@ impl Offsets {
     }
 }
 
-fn append_vertices(mesh: &mut Mesh, vertices: &[Vertex], coloured: bool) {
+fn append_vertices(mesh: &mut Mesh, vertices: &[Vertex], kind: VoxelKind) {
     mesh.positions.extend(vertices.iter().map(|v| Vec3::from_array(v.position)));
     mesh.normals.extend(vertices.iter().map(|v| Vec3::from_array(v.normal)));
-    mesh.weights.extend(vertices.iter().map(|v| u16::try_from(v.weight).unwrap_or(u16::MAX)));
-    if coloured {
+    mesh.weights.extend(vertices.iter().map(|v| v.weight));
+    if kind.colour {
         mesh.colours.extend(vertices.iter().map(|v| [v.colour[0], v.colour[1], v.colour[2]]));
     }
 }

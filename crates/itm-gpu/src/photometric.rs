@@ -156,10 +156,10 @@ impl Photometric {
         world_from_model: &Se3,
         least_confidence: f32,
     ) {
-        let Some(colour0) = map.colours.first() else { return };
+        let Some(plane0) = map.colours().first() else { return };
         recorder.stage("photometric");
         let ((width, height), points) = &list.levels[0];
-        let pages = map.colours.len();
+        let pages = map.colours().len();
         let bindings = photometric::map::Bindings {
             params: photometric::map::Params {
                 map: map.params(),
@@ -171,10 +171,10 @@ impl Photometric {
             },
             points: &model.points,
             list: points,
-            colour0,
-            colour1: map.colours.get(1),
-            colour2: map.colours.get(2),
-            colour3: map.colours.get(3),
+            plane0,
+            plane1: map.colours().get(1),
+            plane2: map.colours().get(2),
+            plane3: map.colours().get(3),
             grid: &map.grid,
         };
         let pipeline = self.map[pages - 1]

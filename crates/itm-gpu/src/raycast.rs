@@ -2,6 +2,7 @@
 
 use std::sync::OnceLock;
 
+use itm_core::voxel::DistanceKind;
 use itm_core::{Image, Intrinsics, Se3};
 use itm_shaders::raycast;
 
@@ -87,11 +88,11 @@ pub(crate) fn page_features(pages: usize) -> &'static [&'static str] {
     &["pages2", "pages3", "pages4"][..pages.clamp(1, 4) - 1]
 }
 
-/// The stage's pipelines, compiled when first needed: one for each number of pages.
+/// The stage's pipelines, compiled when first needed: one for each kind of distance and number of pages.
 #[derive(Debug)]
 pub struct Raycast {
     device: Device,
-    variants: [OnceLock<Pipeline>; 4],
+    variants: [[OnceLock<Pipeline>; 4]; 2],
 }
 
 impl Raycast {
@@ -110,9 +111,11 @@ impl Raycast {
         depth_range_m: [f32; 2],
     ) {
         recorder.stage("raycast");
-        let pages = map.distances.len();
-        let pipeline = self.variants[pages - 1]
-            .get_or_init(|| Pipeline::new(&self.device, &raycast::PASS, page_features(pages), &[]));
+        let pages = map.distances();
+        let features = [map.distance_features(), page_features(pages.len())].concat();
+        let of_kind = &self.variants[usize::from(map.layout().kind.distance == DistanceKind::F32)];
+        let pipeline = of_kind[pages.len() - 1]
+            .get_or_init(|| Pipeline::new(&self.device, &raycast::PASS, &features, &[]));
         let bindings = raycast::Bindings {
             params: raycast::Params {
                 camera: camera_params(&image.camera, depth_range_m),
@@ -124,10 +127,10 @@ impl Raycast {
             ranges: &image.ranges,
             points: &image.points,
             grid: &map.grid,
-            distance0: &map.distances[0],
-            distance1: map.distances.get(1),
-            distance2: map.distances.get(2),
-            distance3: map.distances.get(3),
+            distance0: &pages[0],
+            distance1: pages.get(1),
+            distance2: pages.get(2),
+            distance3: pages.get(3),
         };
         let size = (image.camera.width, image.camera.height);
         recorder.dispatch(pipeline, &bindings, Groups::image(size, (8, 8)));

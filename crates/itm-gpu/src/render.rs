@@ -57,18 +57,18 @@ impl Render {
         recorder.stage("render");
         let groups = Groups::linear(pixels, 64);
         if shading == Shading::Colour {
-            if let Some(colour0) = map.colours.first() {
-                let pages = map.colours.len();
+            if let Some(plane0) = map.colours().first() {
+                let pages = map.colours().len();
                 let pipeline = self.colour[pages - 1]
                     .get_or_init(|| Pipeline::new(&self.device, &render::colour::PASS, page_features(pages), &[]));
                 let bindings = render::colour::Bindings {
                     params: render::colour::Params { map: map.params(), size, unused: [0; 2] },
                     points: &image.points,
                     image: &painted,
-                    colour0,
-                    colour1: map.colours.get(1),
-                    colour2: map.colours.get(2),
-                    colour3: map.colours.get(3),
+                    plane0,
+                    plane1: map.colours().get(1),
+                    plane2: map.colours().get(2),
+                    plane3: map.colours().get(3),
                     grid: &map.grid,
                 };
                 recorder.dispatch(pipeline, &bindings, groups);

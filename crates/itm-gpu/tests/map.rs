@@ -7,7 +7,7 @@ use std::collections::HashSet;
 
 use common::{Fusion, Gpu, OPTIONS, Scene, Shape};
 use glam::{DVec3, IVec3};
-use itm_core::voxel::{BLOCK_VOXELS, BlockKey, DistanceVoxel};
+use itm_core::voxel::{BLOCK_VOXELS, BlockKey, DistanceKind, DistanceVoxel, VoxelKind};
 use itm_core::{Calibration, DepthConversion, Frame, Image, Intrinsics, Se3};
 use itm_gpu::integrate::IntegrateOptions;
 use itm_gpu::{HostBlock, Recorder, View, reference};
@@ -125,7 +125,8 @@ proptest! {
         stop_at_max_weight: bool,
         shifted_colour: bool,
         gaps: bool,
-        weighted: bool,
+        (weighted, confidence, f32) in any::<(bool, bool, bool)>(),
+        empty_loss in prop_oneof![Just(0u16), Just(1), Just(100)],
     ) {
         let Some(gpu) = common::gpu() else { return Ok(()) };
         let depth_camera = common::camera(size.0, size.1);
@@ -138,8 +139,10 @@ proptest! {
         } else {
             Calibration::registered(depth_camera, DepthConversion::MILLIMETRES)
         };
-        let mut fusion = Fusion::with_calibration(gpu, calibration, 0.04, true, 4_000);
-        fusion.options = IntegrateOptions { max_weight, stop_at_max_weight, ..OPTIONS };
+        let distance = if f32 { DistanceKind::F32 } else { DistanceKind::I16 };
+        let kind = VoxelKind { distance, colour: true, confidence };
+        let mut fusion = Fusion::of_kind(gpu, calibration, 0.04, kind, 4_000);
+        fusion.options = IntegrateOptions { max_weight, stop_at_max_weight, empty_loss, weighted, ..OPTIONS };
         if weighted {
             fusion.view_options.observation_weights = true;
             fusion.view = View::new(&gpu.device, &calibration, &fusion.view_options);
@@ -164,7 +167,7 @@ proptest! {
             let weights = fusion.view.read_observations(&gpu.device).unwrap().map(|observations| {
                 Image::from_fn(observations.width(), observations.height(), |x, y| observations[(x, y)][1] as u16)
             });
-            prop_assert_eq!(weights.is_some(), weighted);
+            prop_assert_eq!(weights.is_some(), weighted || confidence);
             let observation = reference::integrate::Observation {
                 depth: &depth,
                 weights: weights.as_ref(),
@@ -173,6 +176,9 @@ proptest! {
                 world_from_camera: pose,
             };
             reference::integrate::integrate(&mut expected, &visible, &observation, &fusion.options);
+            if !confidence {
+                expected.blocks.values_mut().for_each(|block| block.confidences = [0.0; BLOCK_VOXELS]);
+            }
             compare_voxels(&found, &expected, &observation)?;
         }
     }
@@ -197,11 +203,12 @@ fn compare_voxels(
             // A step of a byte: interpolated colours are rounded.
             let same_colour = a.colours[i].weight() == b.colours[i].weight()
                 && (0..3).all(|c| a.colours[i].rgb()[c].abs_diff(b.colours[i].rgb()[c]) <= 1);
-            if same_distance && same_colour {
+            let same_confidence = (a.confidences[i] - b.confidences[i]).abs() <= 1e-5 * b.confidences[i].max(1.0);
+            if same_distance && same_colour && same_confidence {
                 continue;
             }
             let world = reference::integrate::voxel_in_map(position, i).as_dvec3() * f64::from(found.voxel_size_m);
-            let border = on_border(observation, world, f64::from(found.truncation_m), same_distance);
+            let border = on_border(observation, world, f64::from(found.truncation_m), same_distance && same_confidence);
             prop_assert!(
                 border,
                 "voxel {i} of block {position}: {:?} {:?} but {:?} {:?}",
@@ -231,7 +238,7 @@ fn on_border(
     let between_pixels =
         calibration.depth.project(in_camera).is_some_and(|p| near_integer(p.x + 0.5) || near_integer(p.y + 0.5));
     let eta = reference::integrate::signed_distance(observation, world).map(|(_, eta)| eta);
-    let band_ends = eta.is_some_and(|eta| (eta + truncation_m).abs() < MARGIN_M);
+    let band_ends = eta.is_some_and(|eta| (eta.abs() - truncation_m).abs() < MARGIN_M);
     let colour_ends = colour_only && {
         let band = truncation_m * f64::from(OPTIONS.colour_band);
         let last = |size: u32| f64::from(size) - 1.0;
@@ -357,12 +364,11 @@ fn keys_that_all_want_the_last_few_slots_are_told_apart() {
     let keys: Vec<BlockKey> = colliding.by_ref().take(512).collect();
     let others: Vec<BlockKey> = colliding.take(100).collect();
     let mut fusion = Fusion::new(gpu, common::camera(8, 6), 0.02, false, 512);
-    let voxels: Vec<_> = (0..512).map(|i| [DistanceVoxel::new(0.5, i); BLOCK_VOXELS]).collect();
-    let blocks: Vec<_> =
-        (keys.iter().zip(&voxels)).map(|(key, distances)| HostBlock { key: *key, distances, colours: None }).collect();
+    let voxels: Vec<_> = (0..512).map(|i| [DistanceVoxel::new(0.5, i).0; BLOCK_VOXELS]).collect();
+    let blocks: Vec<_> = keys.iter().zip(&voxels).map(|(key, words)| HostBlock { key: *key, words }).collect();
     fusion.map.insert_blocks(&blocks).unwrap();
     assert_eq!(fusion.map.capacity(), 512);
-    assert_eq!(fusion.map.read_distances(300).unwrap(), voxels[300]);
+    assert_eq!(fusion.map.read_block(300).unwrap(), voxels[300]);
 
     let find = |fusion: &Fusion, keys: &[BlockKey]| gpu.hash.look_up(&fusion.map, keys).unwrap();
     assert!(find(&fusion, &keys).into_iter().eq((0..512).map(Some)));
@@ -408,8 +414,7 @@ fn removed_blocks_leave_and_their_memory_is_used_again() {
     assert_eq!(record.free_blocks as usize, removed.len());
     assert_eq!((record.blocks, record.tombstones), (first.blocks, record.free_blocks));
     for index in removed.iter().take(5) {
-        assert!(fusion.map.read_distances(*index).unwrap().iter().all(|v| v.0 == 0), "removed blocks are cleared");
-        assert!(fusion.map.read_colours(*index).unwrap().iter().all(|v| v.0 == 0));
+        assert!(fusion.map.read_block(*index).unwrap().iter().all(|v| *v == 0), "removed blocks are cleared");
     }
 
     // Those that stayed are found among tombstones, and in a hash without.
@@ -535,7 +540,7 @@ fn a_map_in_several_pages_is_the_same_map() {
     let Some(gpu) = common::gpu() else { return };
     // 8192 blocks a page.
     let paged = Gpu::new(&common::device_with_bindings_of(16 << 20));
-    assert_eq!(paged.device.capabilities().page_shift(), 13);
+    assert_eq!(paged.device.capabilities().page_shift(VoxelKind::default()), 13);
 
     let camera = common::camera(160, 120);
     let poses: Vec<Se3> = (0..4).map(|i| Se3::exp([0.0, 0.0, 0.0, 0.0, 1.6 * f64::from(i), 0.0])).collect();
@@ -548,8 +553,7 @@ fn a_map_in_several_pages_is_the_same_map() {
         let image = fusion.cast(gpu, camera, &poses[3]);
         let keys = fusion.keys();
         let last = keys.len() as u32 - 1;
-        let blocks = [0, 1, 8_191, 8_192, last]
-            .map(|i| (fusion.map.read_distances(i).unwrap(), fusion.map.read_colours(i).unwrap()));
+        let blocks = [0, 1, 8_191, 8_192, last].map(|i| fusion.map.read_block(i).unwrap());
         (keys, fusion.visible(gpu), image.read_points(&gpu.device).unwrap(), blocks)
     };
     let (one, several) = (run(gpu), run(&paged));
@@ -568,7 +572,7 @@ fn a_view_of_one_pixel_and_one_of_a_million_fuse() {
         assert_eq!((record.requested, record.dropped), (record.allocated, 0));
         let visible = fusion.visible(gpu);
         assert!(!visible.is_empty());
-        let weights = |block: u32| fusion.map.read_distances(block).unwrap().into_iter().map(|v| v.weight());
+        let weights = |block: u32| fusion.map.read_block(block).unwrap().into_iter().map(|v| DistanceVoxel(v).weight());
         let heaviest = visible.iter().flat_map(|block| weights(*block)).max();
         assert_eq!(heaviest, Some(1), "{width}x{height}: voxels were fused, each once");
     }

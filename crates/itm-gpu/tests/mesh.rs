@@ -6,7 +6,7 @@ use std::collections::HashMap;
 
 use glam::{IVec3, Vec3};
 use itm_core::Mesh;
-use itm_core::voxel::{BlockKey, ColourVoxel, DistanceVoxel};
+use itm_core::voxel::{BlockKey, ColourVoxel, DistanceKind, DistanceVoxel, VoxelKind};
 use itm_gpu::mesh::{Extract, Options};
 use itm_gpu::reference::{self, Block, Map};
 use itm_gpu::{BlockMap, Device, HostBlock, MapLayout};
@@ -19,15 +19,18 @@ const BAND_VOXELS: f32 = 5.0;
 
 /// Uploads a reference map.
 fn upload(device: &Device, map: &Map, colour: bool) -> BlockMap {
-    let layout = MapLayout { voxel_size_m: map.voxel_size_m, truncation_m: map.truncation_m, colour };
+    upload_as(device, map, VoxelKind { colour, ..VoxelKind::default() })
+}
+
+/// Uploads a reference map with voxels of a kind.
+fn upload_as(device: &Device, map: &Map, kind: VoxelKind) -> BlockMap {
+    let layout = MapLayout { voxel_size_m: map.voxel_size_m, truncation_m: map.truncation_m, kind };
     let mut uploaded = BlockMap::new(device, layout, 1).expect("a small map fits");
-    let blocks: Vec<_> = map
-        .positions()
-        .into_iter()
-        .map(|position| {
-            let Block { distances, colours } = &map.blocks[&position];
-            HostBlock { key: BlockKey { submap: 0, position }, distances, colours: Some(colours) }
-        })
+    let words: Vec<_> =
+        map.positions().into_iter().map(|position| (position, map.blocks[&position].to_words(kind))).collect();
+    let blocks: Vec<_> = words
+        .iter()
+        .map(|(position, words)| HostBlock { key: BlockKey { submap: 0, position: *position }, words })
         .collect();
     // In two calls, the second of which has to keep what the first one brought.
     let (some, others) = blocks.split_at(blocks.len() / 3);
@@ -174,7 +177,7 @@ fn a_map_of_several_pages_is_meshed_without_a_seam() {
     let shape = sphere(Vec3::splat(0.3), 150.0);
     let map = upload(device, &sampled(&shape, 20), false);
     let blocks = map.read_record().unwrap().blocks;
-    assert!(blocks > 1 << device.capabilities().page_shift(), "{blocks} blocks fit one page");
+    assert!(blocks > 1 << device.capabilities().page_shift(VoxelKind::default()), "{blocks} blocks fit one page");
     let mesh = mesh_of(device, &map, &Options::default());
     assert_watertight(&mesh);
     assert_eq!(mesh.positions.len() * 2, mesh.triangles.len() + 4);
@@ -280,11 +283,13 @@ proptest! {
     #![proptest_config(common::cases(8))]
 
     #[test]
-    fn random_voxels_give_the_references_mesh(seed: u64, min_weight in 0u16..4, colour: bool) {
+    fn random_voxels_give_the_references_mesh(seed: u64, min_weight in 0u16..4, colour: bool, f32: bool) {
         let Some(device) = common::device() else { return Ok(()) };
         let on_host = random_map(seed);
         let expected = reference::mesh::extract(&on_host, min_weight, colour);
         let options = Options { min_weight: min_weight.into(), blocks_per_range: 10 };
-        assert_same(&mesh_of(device, &upload(device, &on_host, colour), &options), &expected);
+        let distance = if f32 { DistanceKind::F32 } else { DistanceKind::I16 };
+        let map = upload_as(device, &on_host, VoxelKind { distance, colour, confidence: false });
+        assert_same(&mesh_of(device, &map, &options), &expected);
     }
 }

@@ -2,9 +2,10 @@
 
 use std::collections::VecDeque;
 
-use itm_core::voxel::BEST_OBSERVATION;
+use itm_core::voxel::{BEST_OBSERVATION, VoxelKind};
 use itm_core::{Calibration, Intrinsics, ObservationWeight, Se3, Settings};
 use itm_gpu::allocate::Allocate;
+use itm_gpu::confidence::Confidence;
 use itm_gpu::integrate::{Integrate, IntegrateOptions};
 use itm_gpu::normals::Normals;
 use itm_gpu::ranges::Ranges;
@@ -30,6 +31,7 @@ pub(crate) struct Mapper {
     ranges: Ranges,
     raycast: Raycast,
     normals: Normals,
+    confidence: Confidence,
     waiting: VecDeque<Waiting>,
     /// Largest number of blocks that one frame asked for lately; decays.
     demand: u32,
@@ -62,7 +64,11 @@ impl Mapper {
         let layout = MapLayout {
             voxel_size_m: settings.map.voxel_size_m,
             truncation_m: settings.map.truncation_m,
-            colour: settings.map.colour && settings.view.colour,
+            kind: VoxelKind {
+                distance: settings.map.distance,
+                colour: settings.map.colour && settings.view.colour,
+                confidence: settings.map.confidence,
+            },
         };
         let mut map = BlockMap::new(device, layout, 1)?;
         let limit = match settings.map.max_blocks {
@@ -82,6 +88,7 @@ impl Mapper {
             ranges: Ranges::new(device),
             raycast: Raycast::new(device),
             normals: Normals::new(device),
+            confidence: Confidence::new(device),
             waiting: VecDeque::new(),
             demand: 0,
             empty: true,
@@ -187,12 +194,15 @@ impl Mapper {
             max_weight: self.settings.map.max_weight.saturating_mul(best),
             stop_at_max_weight: self.settings.map.stop_at_max_weight,
             colour_band: self.settings.map.colour_band,
+            empty_loss: self.settings.map.empty_loss.saturating_mul(best),
+            weighted: self.settings.map.observation_weight == ObservationWeight::Noise,
         };
         let calibration = Calibration { colour_from_depth: *colour_from_depth, ..self.calibration };
         self.integrate.record(&mut recorder, &self.map, view, &calibration, world_from_camera, &options);
         self.ranges.record(&mut recorder, &self.map, model, world_from_camera);
         self.raycast.record(&mut recorder, &self.map, model, world_from_camera, [near_m, far]);
         self.normals.record(&mut recorder, model, world_from_camera);
+        self.confidence.record(&mut recorder, &self.map, model);
         let record = self.map.record_counters(&mut recorder);
         times.push(recorder.submit());
         self.waiting.push_back(Waiting { place: self.frames, frame, record, times });
@@ -226,6 +236,7 @@ impl Mapper {
         self.ranges.record(&mut recorder, &self.map, image, world_from_camera);
         self.raycast.record(&mut recorder, &self.map, image, world_from_camera, [0.01, max_depth_m]);
         self.normals.record(&mut recorder, image, world_from_camera);
+        self.confidence.record(&mut recorder, &self.map, image);
         let _untimed = recorder.submit();
         Ok(())
     }

@@ -81,7 +81,8 @@ impl Slam {
             bilateral_passes: settings.view.bilateral.passes,
             levels: needs.levels,
             vertices: false,
-            observation_weights: settings.map.observation_weight == ObservationWeight::Noise,
+            observation_weights: settings.map.observation_weight == ObservationWeight::Noise
+                || settings.map.confidence,
             colour_levels: needs.lists.iter().flatten().map(|range| range.end).max().unwrap_or(1),
         };
         let model = RaycastImage::new(device, calibration.depth)?;

@@ -6,7 +6,7 @@ mod tracker_string;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::voxel::BEST_OBSERVATION;
+use crate::voxel::{BEST_OBSERVATION, DistanceKind};
 pub use tracker::{
     CompositePolicy, CompositeSettings, DepthWeight, ExtendedSettings, FileSettings, IcpSettings, ImuSettings,
     OnFailure, RgbSettings, TrackerKind, TrackerSettings, VerdictSettings,
@@ -98,8 +98,17 @@ pub struct MapSettings {
     pub observation_weight: ObservationWeight,
     /// Whether voxels at the largest weight are left as they are.
     pub stop_at_max_weight: bool,
+    /// How voxels keep distances: `i16` in 16 bits, or `f32` in single precision with twice the memory.
+    pub distance: DistanceKind,
     /// Whether voxels hold colour, where the recording has it.
     pub colour: bool,
+    /// Whether voxels hold a confidence: how many of the best observations would tell as much as those made, by the noise of
+    /// a Kinect's depth (Nguyen et al. 2012) and the viewing angle. Tracking weighs points by it, in place of the number of
+    /// observations.
+    pub confidence: bool,
+    /// What a voxel that claims to be near a surface loses of its weight each time it is seen to be empty, so that what was
+    /// carried away disappears: observations, 0 for none, as many as `max_weight` to forget at once.
+    pub empty_loss: u16,
     /// Colour is fused where the distance to the surface is at most this share of the truncation band.
     pub colour_band: f32,
     /// Blocks (512 voxels each) that the pools hold at the start; they grow as needed.
@@ -116,7 +125,10 @@ impl Default for MapSettings {
             max_weight: 100,
             observation_weight: ObservationWeight::Constant,
             stop_at_max_weight: false,
+            distance: DistanceKind::I16,
             colour: true,
+            confidence: false,
+            empty_loss: 0,
             colour_band: 0.25,
             initial_blocks: 16_384,
             max_blocks: 0,

@@ -2,7 +2,7 @@
 //! Method for Building Complex Models from Range Images*; Newcombe et al. 2011, section 3.3; the report, section 3.3).
 
 use glam::{DVec2, DVec3, IVec3};
-use itm_core::voxel::{BLOCK_VOXELS, ColourVoxel, DistanceVoxel};
+use itm_core::voxel::{BEST_OBSERVATION, BLOCK_VOXELS, ColourVoxel, DistanceVoxel};
 use itm_core::{Calibration, ColourImage, Image, Se3};
 
 use super::map::Map;
@@ -38,7 +38,10 @@ pub fn integrate(map: &mut Map, visible: &[IVec3], observation: &Observation<'_>
             let relative = eta / truncation;
             let nearest = (pixel + 0.5).floor();
             let weight = observation.weights.map_or(1, |weights| weights[(nearest.x as u32, nearest.y as u32)]);
-            block.distances[at] = fuse_distance(block.distances[at], relative, weight, options);
+            let before = block.distances[at];
+            let more = if options.weighted { weight } else { 1 };
+            block.distances[at] = fuse_distance(before, relative, more, options);
+            block.confidences[at] = fuse_confidence(block.confidences[at], before, relative, weight, options);
             if relative.abs() <= f64::from(options.colour_band)
                 && let Some((_, colour)) = observed_colour(observation, point_world)
             {
@@ -94,13 +97,39 @@ pub fn observed_colour(observation: &Observation<'_>, point_world: DVec3) -> Opt
 /// A voxel after one more observation of its distance (in truncation bands, positive in front): the running mean, in
 /// which this observation counts `more`.
 pub fn fuse_distance(voxel: DistanceVoxel, observed: f64, more: u16, options: &IntegrateOptions) -> DistanceVoxel {
-    let weight = voxel.weight();
+    let weight = remaining_weight(voxel, observed, options);
     if options.stop_at_max_weight && weight >= options.max_weight {
         return voxel;
     }
     let old = f64::from(voxel.distance());
     let mean = old + (observed.min(1.0) - old) * f64::from(more) / (f64::from(weight) + f64::from(more));
     DistanceVoxel::new(mean as f32, weight.saturating_add(more).min(options.max_weight))
+}
+
+/// What is left of a voxel's weight where it is observed: where it is seen to be empty but claims to be near a surface, what
+/// stood there is gone.
+fn remaining_weight(voxel: DistanceVoxel, observed: f64, options: &IntegrateOptions) -> u16 {
+    let gone = observed >= 1.0 && voxel.distance() < NEARLY_EMPTY;
+    voxel.weight().saturating_sub(if gone { options.empty_loss } else { 0 })
+}
+
+/// Distances above this claim no surface.
+const NEARLY_EMPTY: f32 = 0.95;
+
+/// A voxel's confidence after an observation of its distance that adds so many of the least ones (see
+/// [`crate::confidence`]), given the voxel before it.
+pub fn fuse_confidence(
+    confidence: f32,
+    before: DistanceVoxel,
+    observed: f64,
+    more: u16,
+    options: &IntegrateOptions,
+) -> f32 {
+    let kept = match before.weight() {
+        0 => 0.0,
+        weight => confidence * f32::from(remaining_weight(before, observed, options)) / f32::from(weight),
+    };
+    (kept + f32::from(more) / f32::from(BEST_OBSERVATION)).min(options.max_weight.into())
 }
 
 /// A voxel after one more observation of its colour (0 to 255): the running mean, rounded to bytes. Where the mean would
@@ -131,7 +160,27 @@ pub fn fuse_colour(voxel: ColourVoxel, observed: DVec3, max_weight: u16) -> Colo
 mod tests {
     use super::*;
 
-    const OPTIONS: IntegrateOptions = IntegrateOptions { max_weight: 4, stop_at_max_weight: false, colour_band: 0.25 };
+    const OPTIONS: IntegrateOptions = IntegrateOptions {
+        max_weight: 4,
+        stop_at_max_weight: false,
+        colour_band: 0.25,
+        empty_loss: 0,
+        weighted: false,
+    };
+
+    #[test]
+    fn a_surface_that_is_seen_through_is_forgotten() {
+        let options = IntegrateOptions { max_weight: 100, empty_loss: 10, ..OPTIONS };
+        let surface = DistanceVoxel::new(0.1, 30);
+        let after = |frames| (0..frames).fold(surface, |voxel, _| fuse_distance(voxel, 1.7, 1, &options));
+        assert!(after(4).distance() > 0.9, "{:?}", after(4));
+        assert_eq!(fuse_distance(surface, 0.9, 1, &options).weight(), 31, "near a surface nothing is lost");
+        let slow = fuse_distance(surface, 1.7, 1, &OPTIONS);
+        assert!(slow.distance() < 0.2);
+        // Confidence goes with the weight.
+        assert!((fuse_confidence(6.0, surface, 1.7, 8, &options) - (4.0 + 0.5)).abs() < 1e-6);
+        assert!((fuse_confidence(6.0, surface, 0.2, 8, &options) - 6.5).abs() < 1e-6);
+    }
 
     #[test]
     fn distances_become_their_mean_until_the_weight_is_full() {

@@ -3,7 +3,9 @@
 use std::collections::HashMap;
 
 use glam::{DVec3, IVec3};
-use itm_core::voxel::{BLOCK_SIDE, BLOCK_VOXELS, ColourVoxel, DistanceVoxel, index_in_block};
+use itm_core::voxel::{
+    BLOCK_SIDE, BLOCK_VOXELS, ColourVoxel, DistanceKind, DistanceVoxel, FloatVoxel, VoxelKind, index_in_block,
+};
 
 /// The voxels of one block, indexed as [`index_in_block`] says.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,12 +14,59 @@ pub struct Block {
     pub distances: [DistanceVoxel; BLOCK_VOXELS],
     /// Colours and their weights.
     pub colours: [ColourVoxel; BLOCK_VOXELS],
+    /// Confidences.
+    pub confidences: [f32; BLOCK_VOXELS],
 }
 
 impl Default for Block {
     /// A block of space never seen.
     fn default() -> Self {
-        Self { distances: [DistanceVoxel::default(); BLOCK_VOXELS], colours: [ColourVoxel::default(); BLOCK_VOXELS] }
+        Self {
+            distances: [DistanceVoxel::default(); BLOCK_VOXELS],
+            colours: [ColourVoxel::default(); BLOCK_VOXELS],
+            confidences: [0.0; BLOCK_VOXELS],
+        }
+    }
+}
+
+impl Block {
+    /// The voxels as a map of a kind keeps them, plane by plane (see [`VoxelKind::block_words`]).
+    pub fn to_words(&self, kind: VoxelKind) -> Vec<u32> {
+        let mut words: Vec<u32> = match kind.distance {
+            DistanceKind::I16 => self.distances.iter().map(|v| v.0).collect(),
+            DistanceKind::F32 => {
+                let floats = self.distances.map(|v| FloatVoxel::new(v.distance(), v.weight()));
+                bytemuck::cast_slice(&floats).to_vec()
+            }
+        };
+        if kind.colour {
+            words.extend(self.colours.iter().map(|v| v.0));
+        }
+        if kind.confidence {
+            words.extend(self.confidences.map(f32::to_bits));
+        }
+        words
+    }
+
+    /// The inverse of [`Block::to_words`]; floats are rounded to fixed-point numbers.
+    pub fn from_words(kind: VoxelKind, words: &[u32]) -> Self {
+        let mut block = Self::default();
+        let (distances, rest) = words.split_at(kind.distance_words() * BLOCK_VOXELS);
+        match kind.distance {
+            DistanceKind::I16 => block.distances.copy_from_slice(bytemuck::cast_slice(distances)),
+            DistanceKind::F32 => {
+                for (to, from) in block.distances.iter_mut().zip(bytemuck::cast_slice::<u32, FloatVoxel>(distances)) {
+                    *to = DistanceVoxel::new(from.distance(), from.weight());
+                }
+            }
+        }
+        if kind.colour {
+            block.colours.copy_from_slice(bytemuck::cast_slice(&rest[..BLOCK_VOXELS]));
+        }
+        if kind.confidence {
+            block.confidences.copy_from_slice(bytemuck::cast_slice(&rest[rest.len() - BLOCK_VOXELS..]));
+        }
+        block
     }
 }
 

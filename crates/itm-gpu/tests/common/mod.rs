@@ -6,7 +6,7 @@
 use std::sync::OnceLock;
 
 use glam::{DVec2, DVec3};
-use itm_core::voxel::BlockKey;
+use itm_core::voxel::{BlockKey, VoxelKind};
 use itm_core::{Calibration, ColourImage, DepthConversion, DepthImage, Frame, Image, Intrinsics, Se3, Timestamp};
 use itm_gpu::allocate::Allocate;
 use itm_gpu::hash::Hash;
@@ -264,7 +264,7 @@ pub(crate) fn poses() -> [Se3; 3] {
 
 /// How the tests fuse.
 pub(crate) const OPTIONS: IntegrateOptions =
-    IntegrateOptions { max_weight: 100, stop_at_max_weight: false, colour_band: 0.5 };
+    IntegrateOptions { max_weight: 100, stop_at_max_weight: false, colour_band: 0.5, empty_loss: 0, weighted: false };
 
 /// Depth that the tests look at, in metres.
 pub(crate) const RANGE_M: [f32; 2] = [0.2, 4.0];
@@ -303,8 +303,19 @@ impl Fusion {
         colour: bool,
         blocks: u32,
     ) -> Self {
-        let view_options = VIEW_OPTIONS;
-        let layout = MapLayout { voxel_size_m, truncation_m: 4.0 * voxel_size_m, colour };
+        Self::of_kind(gpu, calibration, voxel_size_m, VoxelKind { colour, ..VoxelKind::default() }, blocks)
+    }
+
+    /// The same, with voxels of a kind.
+    pub(crate) fn of_kind(
+        gpu: &Gpu,
+        calibration: Calibration,
+        voxel_size_m: f32,
+        kind: VoxelKind,
+        blocks: u32,
+    ) -> Self {
+        let view_options = ViewOptions { observation_weights: kind.confidence, ..VIEW_OPTIONS };
+        let layout = MapLayout { voxel_size_m, truncation_m: 4.0 * voxel_size_m, kind };
         Self {
             map: BlockMap::new(&gpu.device, layout, blocks).expect("a small map fits"),
             view: View::new(&gpu.device, &calibration, &view_options),
@@ -379,11 +390,8 @@ impl Fusion {
         let mut map = reference::Map::new(layout.voxel_size_m, layout.truncation_m);
         for (key, index) in self.map.read_keys().expect("the device answers").into_iter().zip(0..) {
             let Some(key) = key else { continue };
-            let mut block = reference::Block::default();
-            block.distances.copy_from_slice(&self.map.read_distances(index).expect("the device answers"));
-            if layout.colour {
-                block.colours.copy_from_slice(&self.map.read_colours(index).expect("the device answers"));
-            }
+            let words = self.map.read_block(index).expect("the device answers");
+            let block = reference::Block::from_words(layout.kind, &words);
             let before = map.blocks.insert(key.position, block);
             assert!(before.is_none(), "two blocks at {}", key.position);
         }
