@@ -477,6 +477,20 @@ mod tests {
         }
     }
 
+    #[test]
+    fn a_block_that_cannot_be_read_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("blocks");
+        let mut store = BlockStore::new(WORDS, 0, StoreFile::Kept(path.clone()));
+        assert_eq!(store.put(key(0), &[7; WORDS]), Placed::WithinBudget);
+        let whole = std::fs::read(&path).unwrap();
+        std::fs::write(&path, "short").unwrap();
+        let error = store.take(key(0), &mut [0; WORDS]).unwrap_err().to_string();
+        assert!(error.contains("cannot read blocks from") && error.contains("blocks"), "{error}");
+        std::fs::write(&path, whole).unwrap();
+        assert_eq!(read(&store, 0), Some(7));
+    }
+
     #[cfg(target_os = "linux")]
     #[test]
     fn a_full_disk_loses_nothing() {

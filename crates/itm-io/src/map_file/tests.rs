@@ -195,23 +195,38 @@ proptest! {
         payload in prop::collection::vec(any::<u8>(), 0..60),
         honest: bool,
     ) {
-        let lengths = match honest {
-            true => [small, payload.len() as u32],
-            false => [raw_length, stored_length],
-        };
+        let lengths = if honest { [small, payload.len() as u32] } else { [raw_length, stored_length] };
         let lengths = lengths.map(u32::to_le_bytes);
         let checksum = checksum_over(checksum_seed(tag), &[lengths.as_flattened(), &payload]);
         let stored_bytes = stored_bytes.unwrap_or((CHUNK_HEADER_BYTES + payload.len()) as u64);
         let lie = SectionHeader { tag, sections: 0, raw_bytes, stored_bytes, checksum }.encode();
-        let mut bytes = writer::prefix(VERSION);
+
+        // In place of a good header, or behind one.
+        let folder = tempfile::tempdir().unwrap();
+        let path = in_folder(&folder);
+        MapWriter::create(&path, &header(VoxelKind::default())).unwrap().finish().unwrap();
+        let mut bytes = fs::read(&path).unwrap();
+        let before = if tag == tag::HEADER { PREFIX_BYTES } else { bytes.len() - SECTION_HEADER_BYTES };
+        bytes.truncate(before);
+        let good = bytes[PREFIX_BYTES..].first_chunk::<SECTION_HEADER_BYTES>().copied();
+        let checksums = checksum_over(0, &[good.as_ref().map_or(&[], |h| &h[..]), &lie]);
         bytes.extend(lie);
         bytes.extend_from_slice(lengths.as_flattened());
         bytes.extend(checksum.to_le_bytes());
         bytes.extend(payload);
-        bytes.extend(SectionHeader::end(1, checksum_over(0, &[&lie])).encode());
-        let folder = tempfile::tempdir().unwrap();
-        fs::write(in_folder(&folder), &bytes).unwrap();
-        prop_assert!(read_map(&in_folder(&folder)).is_err());
+        bytes.extend(SectionHeader::end(1 + u32::from(good.is_some()), checksums).encode());
+        fs::write(&path, &bytes).unwrap();
+
+        let read = || {
+            let mut reader = MapReader::open(&path)?;
+            if tag == tag::BLOCKS { read_blocks(&mut reader, tag).map(drop) } else { reader.trajectory().map(drop) }
+        };
+        match read().unwrap_err() {
+            Error::MapDamaged { place, .. } => prop_assert_eq!(place, name_of(tag)),
+            Error::MapCutOff { within, .. } => prop_assert_eq!(within, name_of(tag)),
+            Error::MapContent { place, .. } => prop_assert_eq!(place, name_of(tag)),
+            other => prop_assert!(false, "{}", other),
+        }
     }
 }
 
