@@ -180,7 +180,8 @@ impl BlockStore {
         self.index.keys().map(|&key| BlockKey::unpack(key))
     }
 
-    /// Bytes of memory that blocks have been given, in use or free; the index is not counted.
+    /// Bytes of memory that blocks have been given, in use or free; the index is not counted. Never more than the budget
+    /// where the file could always be written. What was taken beyond it goes back chunk by chunk (1 MiB) as those empty.
     pub fn memory_bytes(&self) -> u64 {
         self.memory.bytes()
     }

@@ -321,8 +321,8 @@ fn a_full_disk_leaves_the_old_file_and_nothing_else() {
         let write = || {
             let mut writer = MapWriter::create(&path, &header(kind))?;
             writer.blocks(tag::BLOCKS, |sink| {
-                let records = records(kind, blocks).into_iter().flatten();
-                records.map(|(key, words)| sink.block(key, &words)).collect::<Result<(), Error>>()
+                let mut records = records(kind, blocks).into_iter().flatten();
+                records.try_for_each(|(key, words)| sink.block(key, &words))
             })?;
             writer.finish()
         };
