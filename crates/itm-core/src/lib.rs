@@ -8,6 +8,7 @@
 //! - A camera looks along +z, x points right and y down. Lengths are metres, angles radians, times nanoseconds.
 //! - Pixel `(0, 0)` is the centre of the upper left pixel.
 
+pub mod block;
 mod calibration;
 mod camera;
 mod distortion;

@@ -24,6 +24,10 @@ pub struct BlockKey {
 }
 
 impl BlockKey {
+    /// Words that are no block's key, for an index that no block has. The block whose key packs to them (submap 65535, one
+    /// block before the origin along each axis) cannot be kept.
+    pub const NO_KEY: [u32; 2] = [u32::MAX; 2];
+
     /// As two words: `x | y << 16` and `z | submap << 16`, signed parts in two's complement.
     pub fn pack(self) -> [u32; 2] {
         let low = |v: i32| (v as u32) & 0xffff;

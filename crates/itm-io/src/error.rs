@@ -206,6 +206,66 @@ pub enum Error {
         /// What the mesh holds.
         found: String,
     },
+
+    /// A file that does not begin as a map file does.
+    #[error("'{}' is not a map file of itm", path.display())]
+    NotAMap {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A map file of a later version of the format.
+    #[error(
+        "'{}' is a map file of format {}.{}; this program reads up to {}.{}: a later one is needed",
+        path.display(), found.0, found.1, supported.0, supported.1
+    )]
+    MapVersion {
+        /// The map file.
+        path: PathBuf,
+        /// Its format's major and minor version.
+        found: (u16, u16),
+        /// The latest that can be read.
+        supported: (u16, u16),
+    },
+    /// A map file whose end is missing, as of a copy that was interrupted.
+    #[error("'{}' is cut off: it ends after {length} bytes, within {within}", path.display())]
+    MapCutOff {
+        /// The map file.
+        path: PathBuf,
+        /// Bytes that are there.
+        length: u64,
+        /// What would have gone on.
+        within: String,
+    },
+    /// A map file whose bytes are not those that were written.
+    #[error("'{}' is damaged in {place}: {problem}", path.display())]
+    MapDamaged {
+        /// The map file.
+        path: PathBuf,
+        /// Which section, or what else.
+        place: String,
+        /// How that shows.
+        problem: String,
+    },
+    /// A map file, whole and undamaged, that holds something else than it should, or a map that no file can hold.
+    #[error("'{}', {place}: expected {expected}, found {found}", path.display())]
+    MapContent {
+        /// The map file.
+        path: PathBuf,
+        /// Which section.
+        place: String,
+        /// What would do.
+        expected: String,
+        /// What it holds.
+        found: String,
+    },
+    /// A section that a map file does not have.
+    #[error("'{}' has no {section}", path.display())]
+    NoMapSection {
+        /// The map file.
+        path: PathBuf,
+        /// Which one.
+        section: String,
+    },
 }
 
 impl Error {

@@ -9,15 +9,15 @@
 //!
 //! All are in metres, triangles counter-clockwise seen from outside.
 
-use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::io::{self, Write};
+use std::path::Path;
 
 use glam::Vec3;
 use itm_core::Mesh;
 use serde_json::json;
 
 use crate::Error;
+use crate::whole_file::write_whole;
 
 /// Which way is up in a file, for a mesh whose world is that of a camera held upright: x right, y down, z forward.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,30 +93,6 @@ fn check(mesh: &Mesh, path: &Path) -> Result<(), Error> {
         return wrong("triangles of its vertices", format!("triangle {i} of vertices {a}, {b} and {c} of {vertices}"));
     }
     Ok(())
-}
-
-/// Writes a file under a temporary name beside its own and renames it once it is whole and on the disk.
-fn write_whole(path: &Path, encode: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
-    const BUFFER_BYTES: usize = 1 << 20;
-    let part = part_of(path);
-    let written = File::create(&part).and_then(|file| {
-        let mut out = BufWriter::with_capacity(BUFFER_BYTES, file);
-        encode(&mut out)?;
-        // Some file systems report a full disk only here.
-        out.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
-        fs::rename(&part, path)
-    });
-    if written.is_err() {
-        // It may never have come to be; the error that matters is the first.
-        let _ = fs::remove_file(&part);
-    }
-    written
-}
-
-/// The name under which a file is written: hidden, and this process's own.
-fn part_of(path: &Path) -> PathBuf {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    path.with_file_name(format!(".{name}.{}.part", std::process::id()))
 }
 
 /// The Polygon File Format, binary, little-endian.
@@ -348,6 +324,8 @@ mod tests {
     use ply_rs_bw::parser::Parser;
     use ply_rs_bw::ply::{DefaultElement, Property};
     use proptest::prelude::*;
+    use std::fs::{self, File};
+    use std::path::PathBuf;
 
     /// A triangle's corner as another program sees it.
     #[derive(Clone, Copy, Debug, PartialEq)]
@@ -598,20 +576,6 @@ mod tests {
             let error = write(Path::new(name), &octahedron(), &MeshOptions::default()).unwrap_err().to_string();
             assert!(error.contains(name) && error.contains(".ply, .obj, .stl or .glb"), "{error}");
         }
-    }
-
-    #[test]
-    fn a_write_that_fails_leaves_the_old_file_and_nothing_else() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = write_in(folder.path(), "m.ply", &octahedron(), None);
-        let error = write_whole(&path, |out| {
-            out.write_all(b"half a ")?;
-            Err(io::ErrorKind::StorageFull.into())
-        })
-        .unwrap_err();
-        assert_eq!(error.kind(), io::ErrorKind::StorageFull);
-        assert_eq!(read_ply(&path), octahedron());
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[test]
