@@ -127,7 +127,13 @@ fn passes_with_features_have_a_variant_for_each() {
     };
     let pages: [&[&str]; 4] = [&[], &["pages2"], &["pages2", "pages3"], &["pages2", "pages3", "pages4"]];
     assert_eq!(features("photometric/sums"), [&[][..], &["rgb"]]);
-    for pass in ["raycast", "render/colour", "photometric/map"] {
+    for pass in ["confidence", "render/colour", "photometric/map"] {
         assert_eq!(features(pass), pages, "{pass}");
     }
+    let floats = pages.map(|pages| [&["f32"], pages].concat());
+    let raycast = features("raycast");
+    assert_eq!(raycast[..4], pages);
+    assert!(raycast[4..].iter().eq(&floats));
+    assert_eq!(features("integrate").len(), 16);
+    assert_eq!(features("mesh/vertices").len(), 8);
 }
