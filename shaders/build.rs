@@ -25,6 +25,8 @@ const VARIANTS: &[(&str, &[Choice])] = &[
     ("photometric/sums", &[&[&[], &["rgb"]]]),
     ("raycast", &[F32, PAGES]),
     ("render/colour", &[PAGES]),
+    // Colours, confidences, distances of both kinds.
+    ("swap/merge", &[&[&[], &["confidences"], &["distances"], &["f32", "distances"]]]),
 ];
 
 type Choice = &'static [&'static [&'static str]];

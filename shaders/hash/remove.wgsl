@@ -5,9 +5,6 @@ import package::shared::insert::remove_from_hash;
 
 struct Params {
     map: Map,
-    count: u32,
-    unused_a: u32,
-    unused_b: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -16,13 +13,16 @@ struct Params {
 @group(0) @binding(2) var<storage, read> counters: array<u32>;
 @group(0) @binding(3) var<storage, read_write> keys: array<vec2<u32>>;
 @group(0) @binding(4) var<storage, read_write> free_blocks: array<u32>;
+@group(0) @binding(5) var<storage, read> count: array<u32>;
+@group(0) @binding(6) var<storage, read_write> last_seen: array<u32>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    for (var i = id.x; i < params.count; i += groups.x * 64u) {
+    for (var i = id.x; i < count[0]; i += groups.x * 64u) {
         let block = blocks[i];
         remove_from_hash(params.map, keys[block], block);
         keys[block] = NO_KEY;
+        last_seen[block] = 0u;
         free_blocks[counters[FREE_BLOCKS] + i] = block;
     }
 }

@@ -106,7 +106,8 @@ fn a_full_pool_is_said_and_the_run_goes_on() {
     let sequence = sequence(Path::Arc, (160, 120), 6);
     let mut settings = small();
     settings.map.initial_blocks = 16;
-    settings.map.max_blocks = 64;
+    settings.map.device_budget_mib = 0.25;
+    settings.map.swapping = itm_slam::Swapping::Off;
     let run = run(&device, Box::new(InMemory::new(sequence)), &settings, Poses::Given);
     assert_eq!(run.summary.posed, 6);
     assert!(run.reports().any(|r| !r.notices.is_empty()), "a full pool must be said");

@@ -493,6 +493,7 @@ struct Log {
     lost: bool,
     full: bool,
     dropped: bool,
+    unstored: bool,
     /// When the latest frames were done.
     done: VecDeque<Instant>,
     blocks: u32,
@@ -522,6 +523,7 @@ impl Log {
             lost: false,
             full: false,
             dropped: false,
+            unstored: false,
             done: VecDeque::new(),
             blocks: 0,
         })
@@ -614,6 +616,7 @@ impl Log {
                     self.full
                 }
                 Notice::Dropped { .. } => std::mem::replace(&mut self.dropped, true),
+                Notice::HostStore { .. } => std::mem::replace(&mut self.unstored, true),
             };
             if !known {
                 self.say(report.index, notice.to_string());

@@ -46,6 +46,18 @@ impl Intrinsics {
         DVec3::new((pixel.x - self.cx) / self.fx * z, (pixel.y - self.cy) / self.fy * z, z)
     }
 
+    /// Inward unit normals of the planes through the camera's centre and the image's four sides (camera frame).
+    pub fn frustum_sides(&self) -> [DVec3; 4] {
+        let (w, h) = (f64::from(self.width) - 0.5, f64::from(self.height) - 0.5);
+        let corner = |x, y| self.unproject(DVec2::new(x, y), 1.0);
+        let corners = [corner(-0.5, -0.5), corner(w, -0.5), corner(w, h), corner(-0.5, h)];
+        let middle = corners.iter().sum::<DVec3>();
+        std::array::from_fn(|i| {
+            let normal = corners[i].cross(corners[(i + 1) % 4]).normalize();
+            if normal.dot(middle) < 0.0 { -normal } else { normal }
+        })
+    }
+
     /// The camera whose image has been halved `level` times by averaging 2x2 pixels; odd last rows and columns are
     /// dropped, and no side gets smaller than one pixel.
     pub fn at_level(&self, level: u32) -> Self {

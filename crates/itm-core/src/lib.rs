@@ -29,8 +29,8 @@ pub use image::{ColourImage, Image, ImageSizeError};
 pub use mesh::Mesh;
 pub use se3::{PoseError, Se3};
 pub use settings::{
-    BilateralSettings, CompositePolicy, CompositeSettings, DepthWeight, DeviceSettings, ExtendedSettings, FileSettings,
-    IcpSettings, ImuSettings, MapSettings, ObservationWeight, OnFailure, RgbSettings, Settings, SettingsError,
-    TrackerKind, TrackerSettings, VerdictSettings, ViewSettings,
+    BilateralSettings, CompositePolicy, CompositeSettings, DenseSettings, DepthWeight, DeviceSettings,
+    ExtendedSettings, FileSettings, IcpSettings, ImuSettings, MapIndex, MapSettings, ObservationWeight, OnFailure,
+    RgbSettings, Settings, SettingsError, Swapping, TrackerKind, TrackerSettings, VerdictSettings, ViewSettings,
 };
 pub use trajectory::{StampedPose, Trajectory};

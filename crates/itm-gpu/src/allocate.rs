@@ -9,6 +9,7 @@ use itm_shaders::allocate;
 use crate::map::{PENDING_CAPACITY, camera_params, counter, indirect};
 use crate::recorder::{Groups, Pipeline};
 use crate::scan::{Scan, Total};
+use crate::swap::Arrivals;
 use crate::{BlockMap, Device, Recorder, View};
 
 /// The stage's pipelines.
@@ -16,6 +17,7 @@ use crate::{BlockMap, Device, Recorder, View};
 pub struct Allocate {
     fill_grid: Pipeline,
     request: Pipeline,
+    arrive: Pipeline,
     retry: Pipeline,
     count: Pipeline,
     scan: Scan,
@@ -29,6 +31,7 @@ impl Allocate {
         Self {
             fill_grid: Pipeline::plain(device, &allocate::fill_grid::PASS),
             request: Pipeline::plain(device, &allocate::request::PASS),
+            arrive: Pipeline::plain(device, &allocate::arrive::PASS),
             retry: Pipeline::plain(device, &allocate::retry::PASS),
             count: Pipeline::plain(device, &allocate::count::PASS),
             scan: Scan::new(device),
@@ -53,22 +56,45 @@ impl Allocate {
 
     /// Records the whole stage for a view's depth seen from a pose. The grid must have been laid around that view.
     pub fn record(&self, recorder: &mut Recorder, map: &BlockMap, view: &View, world_from_camera: &Se3) {
-        let camera = view.level_camera(0);
+        self.record_with(recorder, map, Some((view, world_from_camera)), None);
+    }
+
+    /// The same, also with room for blocks that come from the host, or for those alone.
+    pub fn record_with(
+        &self,
+        recorder: &mut Recorder,
+        map: &BlockMap,
+        view: Option<(&View, &Se3)>,
+        arrivals: Option<&Arrivals>,
+    ) {
         self.fill_grid(recorder, map);
         let words = map.cells().div_ceil(32);
         let chunks = words.div_ceil(32);
         recorder.clear(&map.requests, u64::from(words) * 4);
-        let bindings = allocate::request::Bindings {
-            params: allocate::request::Params {
-                camera: camera_params(camera, [0.0, 0.0]),
-                world_from_camera: world_from_camera.to_mat4().to_cols_array_2d(),
-                map: map.params(),
-            },
-            depth: view.depth(),
-            cells: &map.grid,
-            requests: &map.requests,
-        };
-        recorder.dispatch(&self.request, &bindings, Groups::image((camera.width, camera.height), (64, 1)));
+        if let Some((view, world_from_camera)) = view {
+            let camera = view.level_camera(0);
+            let bindings = allocate::request::Bindings {
+                params: allocate::request::Params {
+                    camera: camera_params(camera, [0.0, 0.0]),
+                    world_from_camera: world_from_camera.to_mat4().to_cols_array_2d(),
+                    map: map.params(),
+                },
+                depth: view.depth(),
+                cells: &map.grid,
+                requests: &map.requests,
+            };
+            recorder.dispatch(&self.request, &bindings, Groups::image((camera.width, camera.height), (64, 1)));
+        }
+        if let Some(arrivals) = arrivals {
+            let count = arrivals.count();
+            let bindings = allocate::arrive::Bindings {
+                params: allocate::arrive::Params { map: map.params(), count, unused_a: 0, unused_b: [0; 2] },
+                arriving: arrivals.keys(),
+                cells: &map.grid,
+                requests: &map.requests,
+            };
+            recorder.dispatch(&self.arrive, &bindings, Groups::linear(count.into(), 64));
+        }
         let bindings = allocate::retry::Bindings {
             params: allocate::retry::Params { map: map.params() },
             counters: &map.counters,

@@ -71,24 +71,40 @@ impl Hash {
         let count = u32::try_from(blocks.len()).expect("fewer blocks than fit the device");
         let list = self.device.storage("removed blocks", u64::from(count) * 4);
         self.device.queue.write_buffer(&list, 0, bytemuck::cast_slice(blocks));
+        let length = self.device.storage("removed count", 16);
+        self.device.queue.write_buffer(&length, 0, bytemuck::bytes_of(&count));
+        self.remove_listed(recorder, map, &list, &length, count);
+    }
+
+    /// The same for a list on the device, which names as many blocks as the first word of `count` says, at most `room`.
+    pub(crate) fn remove_listed(
+        &self,
+        recorder: &mut Recorder,
+        map: &BlockMap,
+        list: &wgpu::Buffer,
+        count: &wgpu::Buffer,
+        room: u32,
+    ) {
         recorder.stage("hash");
         let bindings = hash::remove::Bindings {
-            params: hash::remove::Params { map: map.params(), count, unused_a: 0, unused_b: [0; 2] },
-            blocks: &list,
+            params: hash::remove::Params { map: map.params() },
+            blocks: list,
             counters: &map.counters,
             keys: &map.keys,
             free_blocks: &map.free_blocks,
+            count,
+            last_seen: &map.last_seen,
             slots: &map.hash,
         };
-        recorder.dispatch(&self.remove, &bindings, Groups::linear(count.into(), 64));
-        let bindings = hash::removed::Bindings { params: hash::removed::Params { count }, counters: &map.counters };
+        recorder.dispatch(&self.remove, &bindings, Groups::linear(room.into(), 64));
+        let bindings = hash::removed::Bindings { counters: &map.counters, count };
         recorder.dispatch(&self.removed, &bindings, Groups::Count([1, 1, 1]));
         for plane in &map.planes {
             let block_words = plane.block_words() as u32;
             for (voxels, page) in plane.pages.iter().zip(0..) {
-                let params = hash::clear::Params { count, page, page_shift: map.page_shift(), block_words };
-                let bindings = hash::clear::Bindings { params, blocks: &list, voxels };
-                recorder.dispatch(&self.clear, &bindings, Groups::linear(count.into(), 1));
+                let params = hash::clear::Params { page, page_shift: map.page_shift(), unused: 0, block_words };
+                let bindings = hash::clear::Bindings { params, blocks: list, voxels, count };
+                recorder.dispatch(&self.clear, &bindings, Groups::linear(room.into(), 1));
             }
         }
     }

@@ -26,6 +26,7 @@ pub mod reference;
 pub mod render;
 mod scan;
 mod sums;
+pub mod swap;
 pub mod view;
 pub mod visible;
 

@@ -93,6 +93,8 @@ pub struct BlockMap {
     pub(crate) visible_counts: wgpu::Buffer,
     pub(crate) boxes: wgpu::Buffer,
     pub(crate) fragment_counts: wgpu::Buffer,
+    /// Of each block the last frame whose view reached it; see `swap`.
+    pub(crate) last_seen: wgpu::Buffer,
     /// In the order of [`VoxelKind::block_words`]: distances, then colours and confidences where there are.
     pub(crate) planes: Vec<Plane>,
 }
@@ -194,6 +196,7 @@ impl BlockMap {
             visible_counts: empty(),
             boxes: empty(),
             fragment_counts: empty(),
+            last_seen: empty(),
             planes,
         };
         map.grow(blocks)?;
@@ -233,6 +236,7 @@ impl BlockMap {
             &self.visible_counts,
             &self.boxes,
             &self.fragment_counts,
+            &self.last_seen,
         ];
         pages.chain(rest).map(wgpu::Buffer::size).sum()
     }
@@ -278,6 +282,7 @@ impl BlockMap {
         replace(&mut self.visible_counts, "visible counts", new.div_ceil(32) * 4, 0);
         replace(&mut self.boxes, "boxes", new * 16, 0);
         replace(&mut self.fragment_counts, "fragment counts", new * 4, 0);
+        replace(&mut self.last_seen, "last seen", new * 4, old * 4);
 
         let page_blocks = 1_u64 << self.page_shift;
         for plane in &mut self.planes {
@@ -397,6 +402,17 @@ impl BlockMap {
         Ok(())
     }
 
+    /// Whether the grid as it lies now has a cell for a block.
+    pub fn grid_covers(&self, key: BlockKey) -> bool {
+        let p = key.position - self.grid_origin;
+        key.submap == self.submap && p.min_element() >= 0 && p.as_uvec3().cmplt(self.grid_size).all()
+    }
+
+    /// Hash slots; at most half of them hold blocks.
+    pub fn hash_slots(&self) -> u32 {
+        self.hash_slots
+    }
+
     /// Checks that the grid around a camera's view fits the device however the camera turns.
     ///
     /// # Errors
@@ -463,13 +479,29 @@ impl BlockMap {
     ///
     /// # Errors
     /// Where the device was lost.
-    pub fn read_keys(&self) -> Result<Vec<Option<itm_core::voxel::BlockKey>>, Error> {
+    pub fn read_keys(&self) -> Result<Vec<Option<BlockKey>>, Error> {
         let blocks = self.read_record()?.blocks;
         if blocks == 0 {
             return Ok(Vec::new());
         }
         let packed: Vec<[u32; 2]> = self.device.read(&self.keys, 0, u64::from(blocks) * 8)?;
-        Ok(packed.into_iter().map(|k| (k != [u32::MAX; 2]).then(|| itm_core::voxel::BlockKey::unpack(k))).collect())
+        Ok(packed.into_iter().map(|k| (k != BlockKey::NO_KEY).then(|| BlockKey::unpack(k))).collect())
+    }
+
+    /// Reads back how many slots of the hash a look-up of each block in use reads. Waits. For tests.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read_probes(&self) -> Result<Vec<u32>, Error> {
+        let slots: Vec<u32> = self.device.read(&self.hash, 0, u64::from(self.hash_slots) * 4)?;
+        let mask = self.hash_slots - 1;
+        let probes = |(key, index): (BlockKey, u32)| {
+            let first = crate::reference::hash::hash_of(key) & mask;
+            let found = (0..=mask).find(|i| slots[((first + i) & mask) as usize] == index + 1);
+            found.map_or(u32::MAX, |i| i + 1)
+        };
+        let keys = self.read_keys()?.into_iter().zip(0..);
+        Ok(keys.filter_map(|(key, index)| Some(probes((key?, index)))).collect())
     }
 
     /// Reads one block's voxels back, plane by plane (see [`VoxelKind::block_words`]). Waits.

@@ -235,9 +235,8 @@ impl Extract {
             hash: &work.map.hash,
         };
         recorder.dispatch(&self.neighbours, &bindings, Groups::linear(u64::from(count) * 27, 64));
-        let signs = self.signs[usize::from(work.map.layout().kind.distance == DistanceKind::F32)].get_or_init(|| {
-            Pipeline::new(&self.device, &mesh::signs::PASS, work.map.distance_features(), &[])
-        });
+        let signs = self.signs[usize::from(work.map.layout().kind.distance == DistanceKind::F32)]
+            .get_or_init(|| Pipeline::new(&self.device, &mesh::signs::PASS, work.map.distance_features(), &[]));
         for (voxels, page) in work.map.distances().iter().zip(0..) {
             let bindings = mesh::signs::Bindings {
                 params: mesh::signs::Params {

@@ -1,8 +1,7 @@
 //! Stage `visible`: the list of blocks in the view's frustum, in the order of their indices (the report, section 3.2).
 
-use glam::DVec3;
 use itm_core::{Intrinsics, Se3};
-use itm_shaders::visible;
+use itm_shaders::{types, visible};
 
 use crate::map::{counter, indirect};
 use crate::recorder::{Groups, Pipeline};
@@ -44,13 +43,11 @@ impl Visible {
         let chunks = map.capacity().div_ceil(32);
         let bindings = visible::test::Bindings {
             params: visible::test::Params {
-                camera_from_world: world_from_camera.inverse().to_mat4().to_cols_array_2d(),
-                sides: frustum_sides(camera),
+                frustum: frustum(camera, world_from_camera, [near_m, far_m], 0.0),
                 map: map.params(),
-                near_m,
-                far_m,
                 chunks,
-                unused: 0,
+                unused_a: 0,
+                unused_b: [0; 2],
             },
             counters: &map.counters,
             keys: &map.keys,
@@ -89,15 +86,19 @@ impl BlockMap {
     }
 }
 
-/// Inward unit normals of the planes through the camera's centre and the image's four sides (camera frame).
-fn frustum_sides(camera: &Intrinsics) -> [[f32; 4]; 4] {
-    let (w, h) = (f64::from(camera.width) - 0.5, f64::from(camera.height) - 0.5);
-    let corner = |x, y| camera.unproject(glam::DVec2::new(x, y), 1.0);
-    let corners = [corner(-0.5, -0.5), corner(w, -0.5), corner(w, h), corner(-0.5, h)];
-    let middle = corners.iter().sum::<DVec3>();
-    std::array::from_fn(|i| {
-        let normal = corners[i].cross(corners[(i + 1) % 4]).normalize();
-        let inward = if normal.dot(middle) < 0.0 { -normal } else { normal };
-        inward.extend(0.0).as_vec4().to_array()
-    })
+/// A view's frustum between two depths, with a margin around it, as shaders see it.
+pub(crate) fn frustum(
+    camera: &Intrinsics,
+    world_from_camera: &Se3,
+    [near_m, far_m]: [f32; 2],
+    margin_m: f32,
+) -> types::Frustum {
+    types::Frustum {
+        camera_from_world: world_from_camera.inverse().to_mat4().to_cols_array_2d(),
+        sides: camera.frustum_sides().map(|side| side.extend(0.0).as_vec4().to_array()),
+        near_m,
+        far_m,
+        margin_m,
+        unused: 0.0,
+    }
 }

@@ -35,8 +35,16 @@ pub enum Notice {
     Waiting {
         /// How many.
         blocks: u32,
-        /// Blocks that the map can hold.
+        /// Blocks that the map can hold on the device.
         capacity: u32,
+        /// Device memory that would hold the waiting ones too, in MiB: see `map.device_budget_mib`.
+        needed_mib: u64,
+    },
+    /// Blocks that left the device cannot be written to the host's file. They stay in memory, beyond its budget, and no
+    /// more leave: from here on the map is as large as the device's budget.
+    HostStore {
+        /// Which file, and why not.
+        reason: String,
     },
     /// New blocks found no room, and none to wait in either: parts of the scene are missing.
     Dropped {
@@ -48,8 +56,13 @@ pub enum Notice {
 impl std::fmt::Display for Notice {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Waiting { blocks, capacity } => {
-                write!(f, "the map is full at {capacity} blocks: {blocks} new ones wait for room")
+            Self::Waiting { blocks, capacity, needed_mib } => write!(
+                f,
+                "the map is full at {capacity} blocks, and none of them can leave: {blocks} new ones wait for room; a \
+                 map.device_budget_mib of {needed_mib} would do"
+            ),
+            Self::HostStore { reason } => {
+                write!(f, "no more blocks leave the device, because they cannot be stored: {reason}")
             }
             Self::Dropped { blocks } => {
                 write!(f, "the map is full: {blocks} new blocks were dropped, with no room to wait in")

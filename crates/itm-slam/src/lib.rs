@@ -24,6 +24,7 @@ mod frame_result;
 mod mapper;
 mod session;
 mod slam;
+mod swapping;
 pub mod tracking;
 
 pub use error::Error;

@@ -2,18 +2,21 @@
 
 use std::collections::VecDeque;
 
-use itm_core::voxel::{BEST_OBSERVATION, VoxelKind};
-use itm_core::{Calibration, Intrinsics, ObservationWeight, Se3, Settings};
+use itm_core::voxel::{BEST_OBSERVATION, BlockKey, VoxelKind};
+use itm_core::{Calibration, Intrinsics, ObservationWeight, Se3, Settings, Swapping};
 use itm_gpu::allocate::Allocate;
 use itm_gpu::confidence::Confidence;
+use itm_gpu::hash::Hash;
 use itm_gpu::integrate::{Integrate, IntegrateOptions};
 use itm_gpu::normals::Normals;
 use itm_gpu::ranges::Ranges;
 use itm_gpu::raycast::Raycast;
+use itm_gpu::swap::{Arrivals, PlacesReader};
 use itm_gpu::visible::Visible;
-use itm_gpu::{
-    BlockMap, Device, Error, FrameRecord, MapLayout, RaycastImage, RecordReader, Recorder, StageTimes, View,
-};
+use itm_gpu::{BlockMap, Device, FrameRecord, MapLayout, RaycastImage, RecordReader, Recorder, StageTimes, View};
+
+use crate::Error;
+use crate::swapping::{InMotion, Swapped, Viewed};
 
 /// A frame's record is consumed at this many frames later, whenever it arrived, so that growth happens at the same frame
 /// in every run.
@@ -41,6 +44,15 @@ pub(crate) struct Mapper {
     frames: u64,
     /// Blocks that the map may grow to.
     limit: u32,
+    /// The host's part of the map, where blocks may leave the device.
+    swapped: Option<Swapped>,
+    /// Views that blocks were swapped for so far; ages count them.
+    clock: u32,
+    /// What the next frame has leave: how many at most, and from which age on.
+    leaving: Option<(u32, u32)>,
+    /// Whether the hash holds so many traces of removed blocks that it is to be rebuilt.
+    rebuild: bool,
+    hash: Hash,
 }
 
 struct Waiting {
@@ -50,6 +62,7 @@ struct Waiting {
     frame: u64,
     record: RecordReader,
     times: Vec<StageTimes>,
+    motion: InMotion,
 }
 
 /// What became known of a frame `RECORD_DELAY` frames later.
@@ -71,12 +84,16 @@ impl Mapper {
             },
         };
         let mut map = BlockMap::new(device, layout, 1)?;
-        let limit = match settings.map.max_blocks {
-            0 => map.max_capacity(),
-            limit => limit.min(map.max_capacity()),
+        let budget_bytes = settings.map.device_budget_mib * f64::from(1 << 20);
+        let limit = match (budget_bytes / layout.kind.block_bytes() as f64) as u32 {
+            0 if budget_bytes == 0.0 => map.max_capacity(),
+            limit => limit.clamp(1, map.max_capacity()),
         };
         map.grow(settings.map.initial_blocks.min(limit))?;
-        map.check_view(&calibration.depth, settings.view.max_depth_m, settings.map.truncation_m)?;
+        let swaps = settings.map.swapping != Swapping::Off;
+        let margin_m = if swaps { settings.map.swap_margin_m } else { 0.0 };
+        map.check_view(&calibration.depth, settings.view.max_depth_m, settings.map.truncation_m.max(margin_m))?;
+        let swapped = swaps.then(|| Swapped::new(device, &map, &settings.map, largest_weight(settings)));
         Ok(Self {
             device: device.clone(),
             calibration: *calibration,
@@ -94,6 +111,11 @@ impl Mapper {
             empty: true,
             frames: 0,
             limit,
+            swapped,
+            clock: 0,
+            leaving: None,
+            rebuild: false,
+            hash: Hash::new(device),
         })
     }
 
@@ -105,6 +127,9 @@ impl Mapper {
         let late = self.take(waiting)?;
         self.demand = late.record.requested.max(self.demand - self.demand / 8);
         self.make_room(&late.record)?;
+        self.decide_what_leaves(&late.record);
+        // Walking over the traces of removed blocks makes look-ups slow.
+        self.rebuild |= late.record.tombstones > self.map.hash_slots() / 4;
         Ok(Some(late))
     }
 
@@ -115,6 +140,9 @@ impl Mapper {
     }
 
     fn take(&mut self, waiting: Waiting) -> Result<Late, Error> {
+        if let Some(swapped) = &mut self.swapped {
+            let _placed = swapped.settle(&self.device, waiting.motion)?;
+        }
         let record = waiting.record.read(&self.device)?;
         let mut stage_ms = Vec::new();
         for times in waiting.times {
@@ -128,12 +156,33 @@ impl Mapper {
         self.map.capacity() >= self.limit && record.blocks - record.free_blocks >= self.limit
     }
 
-    /// Grows the pools so that the frames until the next record find room, as far as limits allow.
-    fn make_room(&mut self, record: &FrameRecord) -> Result<(), Error> {
+    /// Blocks that the map should have room for, so that the frames until the next record find some.
+    fn needed(&self, record: &FrameRecord) -> u32 {
         let used = record.blocks - record.free_blocks;
         // Requests of the frames since, of this one and of the next, with as much again to spare.
         let spare = self.demand.saturating_mul(2 * (RECORD_DELAY as u32 + 1));
-        let needed = used.saturating_add(record.pending).saturating_add(spare);
+        let arriving = self.swapped.as_ref().map_or(0, |swapped| swapped.near.min(swapped.incoming.room()));
+        used.saturating_add(record.pending).saturating_add(spare).saturating_add(arriving)
+    }
+
+    /// Has blocks leave where the map cannot grow to what it should have room for.
+    fn decide_what_leaves(&mut self, record: &FrameRecord) {
+        let needed = self.needed(record);
+        let Some(swapped) = &self.swapped else { return };
+        if needed <= self.limit {
+            return;
+        }
+        // What left since that record was taken is not in it.
+        let on_their_way: u32 = self.waiting.iter().map(|waiting| waiting.motion.most_leaving).sum();
+        // A few more, so that not every frame has to.
+        let wanted = (needed - self.limit + self.limit / 32).saturating_sub(on_their_way);
+        let most = wanted.min(swapped.outgoing.room());
+        self.leaving = swapped.least_age(most).map(|age| (most, age));
+    }
+
+    /// Grows the pools so that the frames until the next record find room, as far as limits allow.
+    fn make_room(&mut self, record: &FrameRecord) -> Result<(), Error> {
+        let needed = self.needed(record);
         let capacity = self.map.capacity();
         if needed <= capacity || capacity >= self.limit {
             return Ok(());
@@ -141,13 +190,13 @@ impl Mapper {
         let wanted = needed.max(capacity + capacity / 4).min(self.limit);
         tracing::debug!(from = capacity, to = wanted, "the block pools grow");
         match self.map.grow(wanted) {
-            Err(Error::OutOfMemory { reason }) => {
+            Err(itm_gpu::Error::OutOfMemory { reason }) => {
                 // The map goes on as large as it is; frames say what finds no room.
                 tracing::warn!(capacity, reason, "the map cannot grow: the device has no memory left");
                 self.limit = capacity;
                 Ok(())
             }
-            grown => grown,
+            grown => Ok(grown?),
         }
     }
 
@@ -166,7 +215,9 @@ impl Mapper {
         let camera = self.calibration.depth;
         let [near_m, far_m] = [self.settings.view.min_depth_m, self.settings.view.max_depth_m];
         let truncation_m = self.settings.map.truncation_m;
-        self.map.lay_grid(&camera, world_from_camera, far_m, truncation_m)?;
+        let swapping = self.swaps();
+        let margin_m = if swapping { truncation_m.max(self.settings.map.swap_margin_m) } else { truncation_m };
+        self.map.lay_grid(&camera, world_from_camera, far_m, margin_m)?;
         if self.empty {
             // The first frame asks for more blocks than any other. Nothing waits for it yet, so room is made at once.
             let mut recorder = Recorder::new(&self.device);
@@ -182,19 +233,29 @@ impl Mapper {
             self.make_room(&record)?;
         }
         let mut recorder = Recorder::timed(&self.device);
-        self.allocate.record(&mut recorder, &self.map, view, world_from_camera);
+        if std::mem::take(&mut self.rebuild) {
+            self.hash.rebuild(&mut recorder, &self.map);
+        }
         let (near, far) = (f32::max(near_m - truncation_m, 0.0), far_m + truncation_m);
+        let viewed = Viewed { camera: &camera, world_from_camera, depth_range_m: [near, far] };
+        let mut motion = InMotion::default();
+        let mut arrivals = None;
+        if swapping {
+            let leaving = self.leaving.take();
+            self.record_leaving(&mut recorder, &mut motion, &viewed, leaving);
+            arrivals = self.bring(&viewed)?;
+        }
+        let arriving = arrivals.as_ref().map(|(_, arrivals)| arrivals);
+        self.allocate.record_with(&mut recorder, &self.map, Some((view, world_from_camera)), arriving);
+        if let Some((keys, arrivals)) = arrivals {
+            motion.places = self.record_merge(&mut recorder, &arrivals).map(|places| (keys, places));
+        }
         self.visible.record(&mut recorder, &self.map, &camera, world_from_camera, near, far);
-        // A largest weight of so many of the best observations.
-        let best = match self.settings.map.observation_weight {
-            ObservationWeight::Constant => 1,
-            ObservationWeight::Noise => BEST_OBSERVATION,
-        };
         let options = IntegrateOptions {
-            max_weight: self.settings.map.max_weight.saturating_mul(best),
+            max_weight: largest_weight(&self.settings),
             stop_at_max_weight: self.settings.map.stop_at_max_weight,
             colour_band: self.settings.map.colour_band,
-            empty_loss: self.settings.map.empty_loss.saturating_mul(best),
+            empty_loss: self.settings.map.empty_loss.saturating_mul(best_observation(&self.settings)),
             weighted: self.settings.map.observation_weight == ObservationWeight::Noise,
         };
         let calibration = Calibration { colour_from_depth: *colour_from_depth, ..self.calibration };
@@ -205,8 +266,93 @@ impl Mapper {
         self.confidence.record(&mut recorder, &self.map, model);
         let record = self.map.record_counters(&mut recorder);
         times.push(recorder.submit());
-        self.waiting.push_back(Waiting { place: self.frames, frame, record, times });
+        self.waiting.push_back(Waiting { place: self.frames, frame, record, times, motion });
         Ok(true)
+    }
+
+    /// Why the host's store cannot keep to its budget, if so.
+    pub(crate) fn store_trouble(&self) -> Option<String> {
+        Some(self.swapped.as_ref()?.store.trouble()?.to_string())
+    }
+
+    /// Whether blocks leave the device and come back: not before there is reason to.
+    fn swaps(&self) -> bool {
+        self.swapped.as_ref().is_some_and(|swapped| !swapped.store.is_empty() || self.map.capacity() > self.limit / 2)
+    }
+
+    /// Records which blocks a view reaches, and the leaving of so many others from an age on.
+    fn record_leaving(
+        &mut self,
+        recorder: &mut Recorder,
+        motion: &mut InMotion,
+        viewed: &Viewed<'_>,
+        leaving: Option<(u32, u32)>,
+    ) {
+        let Some(swapped) = &self.swapped else { return };
+        self.clock += 1;
+        let frame = self.clock;
+        let Viewed { camera, world_from_camera, depth_range_m } = *viewed;
+        let margin_m = self.settings.map.swap_margin_m;
+        let (stage, map, outgoing) = (&swapped.stage, &self.map, &swapped.outgoing);
+        let ages = stage.record_ages(recorder, map, camera, world_from_camera, depth_range_m, margin_m, frame);
+        motion.ages = Some(ages);
+        let Some((most, age)) = leaving else { return };
+        motion.most_leaving = most;
+        if self.settings.map.swapping == Swapping::Delete {
+            stage.record_deletion(recorder, map, outgoing, frame, age, most);
+        } else {
+            motion.leaving = Some(stage.record_leaving(recorder, map, outgoing, frame, age, most));
+        }
+    }
+
+    /// Uploads stored blocks that lie near a view.
+    fn bring(&mut self, viewed: &Viewed<'_>) -> Result<Option<(Vec<BlockKey>, Arrivals)>, Error> {
+        let Some(swapped) = &mut self.swapped else { return Ok(None) };
+        let keys = swapped.choose(&self.map, viewed, u32::MAX);
+        if keys.is_empty() {
+            return Ok(None);
+        }
+        let arrivals = swapped.bring(&keys)?;
+        Ok(Some((keys, arrivals)))
+    }
+
+    fn record_merge(&self, recorder: &mut Recorder, arrivals: &Arrivals) -> Option<PlacesReader> {
+        let stage = &self.swapped.as_ref()?.stage;
+        Some(stage.record_merge(recorder, &self.map, arrivals, largest_weight(&self.settings)))
+    }
+
+    /// Brings all stored blocks that a view reaches to the device, as far as there is room, others leaving for them. Waits;
+    /// for views that follow from no frame before.
+    fn fetch(&mut self, viewed: &Viewed<'_>) -> Result<(), Error> {
+        if self.swapped.as_ref().is_none_or(|swapped| swapped.store.is_empty() && self.waiting.is_empty()) {
+            return Ok(());
+        }
+        for waiting in &mut self.waiting {
+            let motion = std::mem::take(&mut waiting.motion);
+            if let Some(swapped) = &mut self.swapped {
+                let _placed = swapped.settle(&self.device, motion)?;
+            }
+        }
+        loop {
+            let Some((keys, arrivals)) = self.bring(viewed)? else { return Ok(()) };
+            let mut motion = InMotion::default();
+            let mut recorder = Recorder::new(&self.device);
+            let record = self.map.read_record()?;
+            let needed = (record.blocks - record.free_blocks).saturating_add(keys.len() as u32);
+            if needed > self.map.capacity() {
+                self.make_room(&record)?;
+            }
+            let lacking = needed.saturating_sub(self.map.capacity());
+            self.record_leaving(&mut recorder, &mut motion, viewed, (lacking > 0).then_some((lacking, 1)));
+            self.allocate.record_with(&mut recorder, &self.map, None, Some(&arrivals));
+            let places = self.record_merge(&mut recorder, &arrivals);
+            motion.places = places.map(|places| (keys, places));
+            let _untimed = recorder.submit();
+            let Some(swapped) = &mut self.swapped else { return Ok(()) };
+            if swapped.settle(&self.device, motion)? == 0 {
+                return Ok(());
+            }
+        }
     }
 
     /// Casts the map as a camera sees it from a pose, up to a depth. The next frame's fusion is not affected.
@@ -221,7 +367,21 @@ impl Mapper {
         Ok(image)
     }
 
-    /// The same, into an image.
+    /// Casts the map into an image for tracking that goes on from a pose, for which stored blocks come back. Waits for those.
+    pub(crate) fn cast_for_tracking(
+        &mut self,
+        image: &RaycastImage,
+        world_from_camera: &Se3,
+        max_depth_m: f32,
+    ) -> Result<(), Error> {
+        let margin_m = self.settings.map.swap_margin_m;
+        self.map.lay_grid(image.camera(), world_from_camera, max_depth_m, margin_m)?;
+        let camera = *image.camera();
+        self.fetch(&Viewed { camera: &camera, world_from_camera, depth_range_m: [0.0, max_depth_m] })?;
+        self.cast_into(image, world_from_camera, max_depth_m)
+    }
+
+    /// As [`Mapper::cast`], into an image.
     pub(crate) fn cast_into(
         &mut self,
         image: &RaycastImage,
@@ -240,4 +400,17 @@ impl Mapper {
         let _untimed = recorder.submit();
         Ok(())
     }
+}
+
+/// What the best observation adds to a voxel's weight.
+fn best_observation(settings: &Settings) -> u16 {
+    match settings.map.observation_weight {
+        ObservationWeight::Constant => 1,
+        ObservationWeight::Noise => BEST_OBSERVATION,
+    }
+}
+
+/// A voxel's largest weight: so many of the best observations.
+fn largest_weight(settings: &Settings) -> u16 {
+    settings.map.max_weight.saturating_mul(best_observation(settings))
 }

@@ -81,8 +81,7 @@ impl Slam {
             bilateral_passes: settings.view.bilateral.passes,
             levels: needs.levels,
             vertices: false,
-            observation_weights: settings.map.observation_weight == ObservationWeight::Noise
-                || settings.map.confidence,
+            observation_weights: settings.map.observation_weight == ObservationWeight::Noise || settings.map.confidence,
             colour_levels: needs.lists.iter().flatten().map(|range| range.end).max().unwrap_or(1),
         };
         let model = RaycastImage::new(device, calibration.depth)?;
@@ -270,7 +269,7 @@ impl Slam {
         self.motion.return_to(last_good);
         if self.world_from_model != Some(last_good) {
             let far = self.settings.view.max_depth_m + self.settings.map.truncation_m;
-            self.mapper.cast_into(&self.model, &last_good, far)?;
+            self.mapper.cast_for_tracking(&self.model, &last_good, far)?;
             self.world_from_model = Some(last_good);
             // The frame before was taken elsewhere.
             let mut recorder = Recorder::new(&self.device);
@@ -307,7 +306,7 @@ impl Slam {
                 }
             } else {
                 let far = self.settings.view.max_depth_m + self.settings.map.truncation_m;
-                self.mapper.cast_into(&self.model, &world_from_camera, far)?;
+                self.mapper.cast_for_tracking(&self.model, &world_from_camera, far)?;
             }
             if let Some(world_from_camera) = pose {
                 self.age.frames += u64::from(fused);
@@ -371,7 +370,13 @@ impl Slam {
         let mut notices = Vec::new();
         // What waits although there is room gets it as soon as it is seen again.
         if record.pending > 0 && self.mapper.is_full(&record) {
-            notices.push(Notice::Waiting { blocks: record.pending, capacity: self.mapper.map.capacity() });
+            let capacity = self.mapper.map.capacity();
+            let needed = u64::from(capacity) + u64::from(record.pending);
+            let needed_mib = (needed * self.mapper.map.layout().kind.block_bytes()).div_ceil(1 << 20);
+            notices.push(Notice::Waiting { blocks: record.pending, capacity, needed_mib });
+        }
+        if let Some(reason) = self.mapper.store_trouble() {
+            notices.push(Notice::HostStore { reason });
         }
         if record.dropped > 0 {
             notices.push(Notice::Dropped { blocks: record.dropped });

@@ -111,10 +111,81 @@ pub struct MapSettings {
     pub empty_loss: u16,
     /// Colour is fused where the distance to the surface is at most this share of the truncation band.
     pub colour_band: f32,
+    /// How blocks are found: `hash`, wherever the camera goes, or `dense`, a box of `dense.size` that is there as a whole from
+    /// the start and beyond which nothing is kept.
+    pub index: MapIndex,
     /// Blocks (512 voxels each) that the pools hold at the start; they grow as needed.
     pub initial_blocks: u32,
-    /// Blocks that the pools may hold at most; 0 leaves that to the adapter's limits.
-    pub max_blocks: u32,
+    /// Device memory that voxels may take, in MiB: the pools grow up to it. 0 is as much as the adapter can bind. What finds
+    /// blocks takes about 60 bytes a block more.
+    pub device_budget_mib: f64,
+    /// What happens once `device_budget_mib` is reached.
+    pub swapping: Swapping,
+    /// Host memory that blocks which left the device may take, in MiB; more of them lie in a file.
+    pub host_budget_mib: f64,
+    /// Folder of that file, which has no name and is gone with the run; empty for the system's folder for temporary files.
+    pub host_folder: String,
+    /// Blocks that are transferred in a frame at most, each way.
+    pub transfer_blocks: u32,
+    /// Blocks come back to the device once they are within this many metres of the view, and do not leave before they are
+    /// further away.
+    pub swap_margin_m: f32,
+    /// The box of a dense map.
+    pub dense: DenseSettings,
+}
+
+/// How blocks are found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MapIndex {
+    /// By a hash: blocks are where surfaces are, wherever the camera goes.
+    #[default]
+    Hash,
+    /// A box of voxels, all of which are there from the start: needs memory for its empty space too, but no allocation.
+    Dense,
+}
+
+/// The box of a dense map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DenseSettings {
+    /// Voxels along the world's x, y and z, each a multiple of 8.
+    pub size: [u32; 3],
+    /// The first voxel along each axis, from the world's origin, each a multiple of 8.
+    pub offset: [i32; 3],
+}
+
+impl Default for DenseSettings {
+    fn default() -> Self {
+        Self { size: [512; 3], offset: [-256, -256, 0] }
+    }
+}
+
+impl DenseSettings {
+    /// Blocks along each axis, and the first one.
+    pub fn blocks(&self) -> ([u32; 3], [i32; 3]) {
+        (self.size.map(|voxels| voxels / 8), self.offset.map(|voxels| voxels / 8))
+    }
+
+    fn validate(&self) -> Result<(), SettingsError> {
+        let size = self.size.iter().all(|v| (8..=1 << 15).contains(v) && v % 8 == 0);
+        check(size, "map.dense.size", "three multiples of 8 from 8 to 32768", format!("{:?}", self.size))?;
+        let offset = self.offset.iter().all(|v| (-(1 << 18)..=(1 << 17)).contains(v) && v % 8 == 0);
+        check(offset, "map.dense.offset", "three multiples of 8 from -262144 to 131072", format!("{:?}", self.offset))
+    }
+}
+
+/// What happens once the device's budget is reached.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Swapping {
+    /// New blocks find no room: what they would show is not mapped, and each frame says so.
+    Off,
+    /// Blocks that were not seen for the longest time move to the host, and come back when the view comes near them.
+    #[default]
+    Host,
+    /// Blocks that were not seen for the longest time are deleted.
+    Delete,
 }
 
 impl Default for MapSettings {
@@ -130,8 +201,15 @@ impl Default for MapSettings {
             confidence: false,
             empty_loss: 0,
             colour_band: 0.25,
+            index: MapIndex::Hash,
             initial_blocks: 16_384,
-            max_blocks: 0,
+            device_budget_mib: 0.0,
+            swapping: Swapping::Host,
+            host_budget_mib: 2048.0,
+            host_folder: String::new(),
+            transfer_blocks: 4096,
+            swap_margin_m: 0.1,
+            dense: DenseSettings::default(),
         }
     }
 }
@@ -300,6 +378,17 @@ impl Settings {
             "between 1 and 16777216",
             map.initial_blocks,
         )?;
+        let budget = |mib: f64| mib >= 0.0 && mib.is_finite();
+        check(budget(map.device_budget_mib), "map.device_budget_mib", "zero or positive", map.device_budget_mib)?;
+        check(budget(map.host_budget_mib), "map.host_budget_mib", "zero or positive", map.host_budget_mib)?;
+        check(
+            (1..=1 << 20).contains(&map.transfer_blocks),
+            "map.transfer_blocks",
+            "1 to 1048576",
+            map.transfer_blocks,
+        )?;
+        check(in_range(map.swap_margin_m, 0.0, 10.0), "map.swap_margin_m", "between 0 and 10", map.swap_margin_m)?;
+        map.dense.validate()?;
         tracker.validate()
     }
 }

@@ -1,0 +1,281 @@
+//! Which blocks leave the device, and which come back.
+//!
+//! The map's blocks lie on the device up to its budget. Beyond it, those that no view has reached for the longest time go
+//! to the host's store; stored ones near the view come back before it reaches them. The host knows each frame's pose before
+//! anything is allocated, so it finds the stored blocks near a view itself, by cells of 8x8x8 blocks; nothing of them
+//! takes device memory.
+//!
+//! A block may be on its way: it left the device, but has not arrived at the store yet. What is integrated at its place
+//! meanwhile is a block of its own, which is fused with it wherever the two meet. Nothing is ever overwritten.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+
+use glam::{DVec3, IVec3};
+use itm_core::block::merge_blocks;
+use itm_core::voxel::{BLOCK_SIDE, BlockKey, VoxelKind};
+use itm_core::{Intrinsics, MapSettings, Se3};
+use itm_gpu::swap::{AGE_BINS, AgesReader, Arrivals, LeavingReader, Left, PlacesReader, Swap, Transfer, age_of_bin};
+use itm_gpu::{BlockMap, Device, HostBlock};
+use itm_io::block_store::{BlockStore, Placed, StoreFile};
+
+use crate::Error;
+
+/// A view that blocks are swapped for: a camera at a pose, and the depths that it reaches.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Viewed<'a> {
+    pub(crate) camera: &'a Intrinsics,
+    pub(crate) world_from_camera: &'a Se3,
+    pub(crate) depth_range_m: [f32; 2],
+}
+
+/// What a frame has set in motion between device and host.
+#[derive(Debug, Default)]
+pub(crate) struct InMotion {
+    pub(crate) ages: Option<AgesReader>,
+    pub(crate) leaving: Option<LeavingReader>,
+    pub(crate) places: Option<(Vec<BlockKey>, PlacesReader)>,
+    /// Blocks that leave at most.
+    pub(crate) most_leaving: u32,
+}
+
+/// The host's part of the map.
+#[derive(Debug)]
+pub(crate) struct Swapped {
+    pub(crate) stage: Swap,
+    pub(crate) outgoing: Transfer,
+    pub(crate) incoming: Transfer,
+    pub(crate) store: BlockStore,
+    kind: VoxelKind,
+    max_weight: u16,
+    voxel_size_m: f32,
+    margin_m: f32,
+    /// Stored blocks by cell.
+    cells: Cells,
+    /// Stored blocks that were brought to the device, but are not known to have found room there yet.
+    arriving: BTreeSet<[u32; 2]>,
+    /// Ages of the blocks outside the view, as last known.
+    ages: Vec<u32>,
+    /// Stored blocks near the last view.
+    pub(crate) near: u32,
+}
+
+impl Swapped {
+    pub(crate) fn new(device: &Device, map: &BlockMap, settings: &MapSettings, max_weight: u16) -> Self {
+        let folder = (!settings.host_folder.is_empty()).then(|| PathBuf::from(&settings.host_folder));
+        let budget = (settings.host_budget_mib * f64::from(1 << 20)) as u64;
+        let kind = map.layout().kind;
+        Self {
+            stage: Swap::new(device),
+            outgoing: Transfer::new(device, map, settings.transfer_blocks),
+            incoming: Transfer::new(device, map, settings.transfer_blocks),
+            store: BlockStore::new(kind.block_words(), budget, StoreFile::Temporary(folder)),
+            kind,
+            max_weight,
+            voxel_size_m: settings.voxel_size_m,
+            margin_m: settings.swap_margin_m,
+            cells: Cells::default(),
+            arriving: BTreeSet::new(),
+            ages: vec![0; AGE_BINS],
+            near: 0,
+        }
+    }
+
+    /// Puts a block into the store, fused with what lies there at its place.
+    pub(crate) fn put(&mut self, key: BlockKey, words: &[u32]) -> Result<(), Error> {
+        let mut stored = vec![0; self.kind.block_words()];
+        let placed = if self.store.get(key, &mut stored)? {
+            merge_blocks(self.kind, &mut stored, words, self.max_weight);
+            self.store.put(key, &stored)
+        } else {
+            self.cells.insert(key);
+            self.store.put(key, words)
+        };
+        if placed == Placed::BeyondBudget
+            && let Some(trouble) = self.store.trouble()
+        {
+            tracing::warn!("blocks that leave the device stay in memory: {trouble}");
+        }
+        Ok(())
+    }
+
+    /// Takes over what a frame set in motion, once it has been done. Returns how many blocks came back.
+    pub(crate) fn settle(&mut self, device: &Device, motion: InMotion) -> Result<u32, Error> {
+        let mut back = 0;
+        let InMotion { ages, leaving, places, most_leaving: _ } = motion;
+        if let Some(ages) = ages {
+            self.ages = ages.read(device)?;
+        }
+        if let Some((keys, places)) = places {
+            let mut spare = vec![0; self.kind.block_words()];
+            for (key, placed) in keys.into_iter().zip(places.read(device)?) {
+                self.arriving.remove(&key.pack());
+                if placed {
+                    back += 1;
+                    self.store.take(key, &mut spare)?;
+                    self.cells.remove(key);
+                }
+            }
+        }
+        if let Some(leaving) = leaving {
+            let Left { keys, words } = leaving.read(device)?;
+            for (key, block) in keys.into_iter().zip(words.chunks(self.kind.block_words())) {
+                self.put(key, block)?;
+            }
+        }
+        Ok(back)
+    }
+
+    /// The age from which on blocks leave, so that `wanted` of them go if there are as many; `None` where none can go, or the
+    /// store cannot take more.
+    pub(crate) fn least_age(&self, wanted: u32) -> Option<u32> {
+        if wanted == 0 || self.store.trouble().is_some() {
+            return None;
+        }
+        let mut found = 0;
+        let mut youngest = None;
+        for bin in (1..AGE_BINS).rev() {
+            if self.ages[bin] > 0 {
+                found += self.ages[bin];
+                youngest = Some(age_of_bin(bin));
+                if found >= wanted {
+                    break;
+                }
+            }
+        }
+        youngest
+    }
+
+    /// The stored blocks that are to come back for a view, at most as many as one transfer takes: those in it first, then
+    /// those in its margin, each in the order of their keys.
+    pub(crate) fn choose(&mut self, map: &BlockMap, view: &Viewed<'_>, most: u32) -> Vec<BlockKey> {
+        if self.store.is_empty() {
+            self.near = 0;
+            return Vec::new();
+        }
+        let near = self.cells.near(&Cone::new(view), f64::from(self.voxel_size_m), self.margin_m.into());
+        let mut keys: Vec<(bool, [u32; 2], BlockKey)> = near
+            .into_iter()
+            .map(|(key, outside)| (outside, key.pack(), key))
+            .filter(|(_, packed, key)| !self.arriving.contains(packed) && map.grid_covers(*key))
+            .collect();
+        self.near = keys.len() as u32;
+        keys.sort_unstable_by_key(|(outside, packed, _)| (*outside, *packed));
+        keys.truncate(most.min(self.incoming.room()) as usize);
+        keys.into_iter().map(|(.., key)| key).collect()
+    }
+
+    /// Uploads stored blocks, which stay in the store until it is known that they found room.
+    pub(crate) fn bring(&mut self, keys: &[BlockKey]) -> Result<Arrivals, Error> {
+        let length = self.kind.block_words();
+        let mut words = vec![0; keys.len() * length];
+        for (key, block) in keys.iter().zip(words.chunks_mut(length)) {
+            self.store.get(*key, block)?;
+            self.arriving.insert(key.pack());
+        }
+        let blocks: Vec<_> =
+            keys.iter().zip(words.chunks(length)).map(|(key, words)| HostBlock { key: *key, words }).collect();
+        Ok(self.stage.bring(&self.incoming, &blocks))
+    }
+}
+
+/// Keys by the cell of 8x8x8 blocks that they lie in.
+#[derive(Debug, Default)]
+struct Cells {
+    cells: BTreeMap<[i32; 4], BTreeSet<[u32; 2]>>,
+}
+
+impl Cells {
+    fn cell(key: BlockKey) -> [i32; 4] {
+        let IVec3 { x, y, z } = key.position >> 3;
+        [i32::from(key.submap), x, y, z]
+    }
+
+    fn insert(&mut self, key: BlockKey) {
+        self.cells.entry(Self::cell(key)).or_default().insert(key.pack());
+    }
+
+    fn remove(&mut self, key: BlockKey) {
+        let cell = Self::cell(key);
+        if let Some(keys) = self.cells.get_mut(&cell) {
+            keys.remove(&key.pack());
+            if keys.is_empty() {
+                self.cells.remove(&cell);
+            }
+        }
+    }
+
+    /// The keys in a cone or within a margin of it (metres), and whether each lies in the margin only.
+    fn near(&self, cone: &Cone, voxel_size_m: f64, margin_m: f64) -> Vec<(BlockKey, bool)> {
+        let side = f64::from(BLOCK_SIDE);
+        // Of the sphere around a cube of so many voxels.
+        let radius = |voxels: f64| 0.5 * 3.0_f64.sqrt() * (voxels - 1.0) * voxel_size_m;
+        let mut found = Vec::new();
+        for ([_, x, y, z], keys) in &self.cells {
+            let centre = (IVec3::new(*x, *y, *z).as_dvec3() * 8.0 * side + 4.0 * side - 0.5) * voxel_size_m;
+            if !cone.reaches(centre, radius(8.0 * side) + margin_m) {
+                continue;
+            }
+            for key in keys.iter().map(|packed| BlockKey::unpack(*packed)) {
+                let centre = (key.position.as_dvec3() * side + 0.5 * side - 0.5) * voxel_size_m;
+                if cone.reaches(centre, radius(side) + margin_m) {
+                    found.push((key, !cone.reaches(centre, radius(side))));
+                }
+            }
+        }
+        found
+    }
+}
+
+/// What a view reaches.
+struct Cone {
+    camera_from_world: Se3,
+    /// Inward unit normals of the four sides, through the camera's centre (camera frame).
+    sides: [DVec3; 4],
+    depth_range_m: [f64; 2],
+}
+
+impl Cone {
+    fn new(view: &Viewed<'_>) -> Self {
+        Self {
+            camera_from_world: view.world_from_camera.inverse(),
+            sides: view.camera.frustum_sides(),
+            depth_range_m: view.depth_range_m.map(f64::from),
+        }
+    }
+
+    /// Whether a sphere (world frame, metres) reaches into it.
+    fn reaches(&self, centre: DVec3, radius: f64) -> bool {
+        let p = self.camera_from_world.transform_point(centre);
+        let [near, far] = self.depth_range_m;
+        p.z + radius >= near && p.z - radius <= far && self.sides.iter().all(|side| side.dot(p) >= -radius)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_near_a_view_are_found_by_their_cells() {
+        let camera = Intrinsics::new(64, 48, 50.0, 50.0, 31.5, 23.5);
+        let pose = Se3::exp([0.1, -0.2, 0.3, 0.2, 0.5, -0.1]);
+        let cone = Cone::new(&Viewed { camera: &camera, world_from_camera: &pose, depth_range_m: [0.2, 2.0] });
+        let mut cells = Cells::default();
+        let keys: Vec<BlockKey> = (0..20 * 20 * 20)
+            .map(|i| IVec3::new(i % 20, i / 20 % 20, i / 400) - 10)
+            .map(|position| BlockKey { submap: 0, position })
+            .collect();
+        keys.iter().for_each(|key| cells.insert(*key));
+        let (voxel, margin) = (0.05, 0.15);
+        let found: BTreeSet<_> = cells.near(&cone, voxel, margin).iter().map(|(key, _)| key.pack()).collect();
+        let radius = 3.5 * 3.0_f64.sqrt() * voxel + margin;
+        for key in &keys {
+            let centre = (key.position.as_dvec3() * 8.0 + 3.5) * voxel;
+            assert_eq!(found.contains(&key.pack()), cone.reaches(centre, radius), "{key:?}");
+        }
+        assert!(!found.is_empty() && found.len() < keys.len());
+        keys.iter().for_each(|key| cells.remove(*key));
+        assert!(cells.cells.is_empty());
+    }
+}
