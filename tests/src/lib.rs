@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use itm_io::Error as IoError;
 use itm_io::recording::{Format, Recording, RecordingInfo};
 use itm_slam::{Device, Event, Frame, FrameReport, FrameResult, Poses, Session, SessionOptions, Settings, Summary};
-use itm_synth::Sequence;
+use itm_synth::{Path, Sequence, Spec};
 
 /// A synthetic recording that is made as it is read.
 #[derive(Debug)]
@@ -46,6 +46,14 @@ impl Recording for InMemory {
     fn read(&mut self, index: usize) -> Result<Frame, IoError> {
         Ok(self.sequence.frame(u32::try_from(index).expect("few frames")))
     }
+}
+
+/// A recording along a path, without noise.
+///
+/// # Panics
+/// Where there can be none of that size.
+pub fn sequence(path: Path, size: (u32, u32), frames: u32) -> Sequence {
+    Sequence::new(Spec::new(path).with_size(size.0, size.1).with_frames(frames)).expect("a valid specification")
 }
 
 /// Opens the best adapter; `None`, with a word about it, where the environment variable `ITM_SKIP_GPU_TESTS` is set.
@@ -92,7 +100,7 @@ impl Run {
 /// # Panics
 /// Where the run cannot be prepared.
 pub fn run(device: &Device, recording: Box<dyn Recording>, settings: &Settings, poses: Poses) -> Run {
-    let options = SessionOptions { settings: settings.clone(), poses, frames: None };
+    let options = SessionOptions { settings: settings.clone(), poses, frames: None, start: itm_slam::Start::Afresh };
     let mut session = Session::new(device, recording, &options).expect("a recording that can be run");
     let mut frames = Vec::new();
     let mut summary = None;

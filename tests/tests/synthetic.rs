@@ -4,7 +4,7 @@ use itm_slam::evaluation::{DEFAULT_TOLERANCE_NS, evaluate};
 use itm_slam::{DepthImage, FrameStatus, Image, Poses, Settings, Slam, StampedPose};
 use itm_synth::{DepthNoise, Path, Sequence, Spec};
 use itm_tests::surface::{Views, accuracy_m, completeness, quantile};
-use itm_tests::{InMemory, Run, device, run};
+use itm_tests::{InMemory, Run, device, run, sequence};
 
 /// Settings for images of 160x120: voxels about as wide as the pixels' footprint at 2 m.
 fn small() -> Settings {
@@ -14,10 +14,6 @@ fn small() -> Settings {
     settings.map.initial_blocks = 256;
     settings.tracker.extended.levels = "bbb".into();
     settings
-}
-
-fn sequence(path: Path, size: (u32, u32), frames: u32) -> Sequence {
-    Sequence::new(Spec::new(path).with_size(size.0, size.1).with_frames(frames)).expect("a valid specification")
 }
 
 fn ate_m(run: &mut Run, truth: &Sequence) -> f64 {

@@ -13,11 +13,14 @@ use anyhow::{Context as _, Error, Result, anyhow, bail};
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
 use itm_core::evaluation::{self, Evaluation};
-use itm_core::{Mesh, Se3, Settings, StampedPose};
+use itm_core::{Mesh, Se3, Settings, StampedPose, Trajectory};
+use itm_io::map_file::MapReader;
 use itm_io::mesh::{MeshOptions, UpAxis};
 use itm_io::recording::{self, Format, RecordingInfo};
 use itm_io::trajectory::{TimeColumn, TumWriter};
-use itm_slam::{Device, Event, FrameReport, FrameResult, FrameStatus, Notice, Poses, Session, SessionOptions};
+use itm_slam::{
+    Device, Event, FrameReport, FrameResult, FrameStatus, Notice, Poses, SavedSession, Session, SessionOptions, Start,
+};
 use serde::Serialize;
 use serde_json::json;
 
@@ -39,6 +42,9 @@ Examples:
   itm run room --poses given --json
   itm run room --tracker type=extended,levels=rrbb,useDepth=1 --explain
   itm run room --tracker 'type=composite,policy=first-success;type=icp;type=extended'
+  itm run room --frames 0..150 --save room.itm
+  itm run room --resume room.itm --save room.itm
+  itm run room --map room.itm --start-pose 0,0,0,0,0,0,1 --fusion off
 
 The kinds of --tracker are icp, extended, rgb, imuicp, extendedimu, file, forcefail and composite; the keys of each are in
 crates/itm-core/src/settings/tracker_string.rs and in the message about one that is not known; the settings that they
@@ -65,6 +71,21 @@ pub(crate) struct Arguments {
     /// The tracker as one string, type=KIND,key=value,... (see below); wins over the settings and --set
     #[arg(long, value_name = "STRING")]
     tracker: Option<String>,
+    /// Go on from a session that --save left, with its settings, at the frame after its last one
+    #[arg(long, value_name = "MAP", conflicts_with_all = ["settings", "overrides", "tracker", "poses", "map", "calibration"])]
+    resume: Option<PathBuf>,
+    /// Start in a saved map, with its settings unless --settings gives others
+    #[arg(long, value_name = "MAP")]
+    map: Option<PathBuf>,
+    /// Where the first frame's camera is in that map: metres, then a quaternion [default: 0,0,0,0,0,0,1]
+    #[arg(long, value_name = "TX,TY,TZ,QX,QY,QZ,QW", requires = "map", value_parser = pose_from_str, allow_hyphen_values = true)]
+    start_pose: Option<Se3>,
+    /// Whether frames are fused into the map; off finds the camera in a saved map without changing it
+    #[arg(long, value_enum)]
+    fusion: Option<Switch>,
+    /// Save the map, and the session, to this file at the end, also after Ctrl-C
+    #[arg(long, value_name = "MAP")]
+    save: Option<PathBuf>,
     /// Where camera poses come from
     #[arg(long, value_enum, default_value_t = PosesArgument::Tracked)]
     poses: PosesArgument,
@@ -112,6 +133,25 @@ enum PosesArgument {
     Tracked,
     /// The recording's own
     Given,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Switch {
+    On,
+    Off,
+}
+
+/// A pose as seven numbers: translation in metres, then a quaternion x, y, z, w.
+pub(crate) fn pose_from_str(text: &str) -> Result<Se3, String> {
+    let expected = || format!("expected seven numbers tx,ty,tz,qx,qy,qz,qw, not '{text}'");
+    let numbers: Vec<f64> =
+        text.split(',').map(|n| n.trim().parse().map_err(|_| expected())).collect::<Result<_, _>>()?;
+    let [tx, ty, tz, qx, qy, qz, qw] = numbers[..] else { return Err(expected()) };
+    let rotation = glam::DQuat::from_xyzw(qx, qy, qz, qw);
+    if numbers.iter().any(|n| !n.is_finite()) || rotation.length() < 1e-6 {
+        return Err(format!("{}; a quaternion is not zero", expected()));
+    }
+    Ok(Se3::new(rotation.normalize(), glam::DVec3::new(tx, ty, tz)))
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -268,7 +308,20 @@ pub(crate) struct Message {
 
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     // Whatever can be wrong with what was given is found before a device is opened.
-    let settings = arguments.resolve_settings()?;
+    let (settings, resumed) = match &arguments.resume {
+        Some(path) => {
+            let saved = SavedSession::open(path)?;
+            (saved.settings.clone(), Some(saved))
+        }
+        None => (arguments.resolve_settings()?, None),
+    };
+    let start = match (&arguments.resume, &arguments.map) {
+        (Some(path), _) => Start::Resume(path.clone()),
+        (None, Some(path)) => {
+            Start::InMap { path: path.clone(), world_from_camera: arguments.start_pose.unwrap_or(Se3::IDENTITY) }
+        }
+        (None, None) => Start::Afresh,
+    };
     let options = recording::OpenOptions {
         format: arguments.format,
         calibration: arguments.calibration.clone(),
@@ -278,12 +331,23 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     };
     let recording = recording::open(&arguments.recording, &options)?;
     let info = recording.info().clone();
-    let poses = match arguments.poses {
-        PosesArgument::Tracked => Poses::Tracked,
-        PosesArgument::Given => Poses::Given,
+    let poses = match (&resumed, arguments.poses) {
+        (Some(saved), _) => saved.poses,
+        (None, PosesArgument::Tracked) => Poses::Tracked,
+        (None, PosesArgument::Given) => Poses::Given,
     };
-    let frames = arguments.frames.map(|range| range.within(&info)).transpose()?;
-    let options = SessionOptions { settings, poses, frames: frames.clone() };
+    let frames = match (arguments.frames, &resumed) {
+        (Some(range), _) => Some(range.within(&info)?),
+        (None, Some(saved)) => {
+            let next = usize::try_from(saved.next_frame).unwrap_or(usize::MAX);
+            if next >= info.frames {
+                bail!("the session was saved after the last frame of '{}', which has {}", info.name, info.frames);
+            }
+            Some(next..info.frames)
+        }
+        (None, None) => None,
+    };
+    let options = SessionOptions { settings, poses, frames: frames.clone(), start };
     Session::check(recording.as_ref(), &options)?;
     let out = arguments.out.clone().unwrap_or_else(|| Path::new("out").join(&info.name));
     prepare_folder(&out, &arguments.recording)?;
@@ -291,6 +355,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let device = Device::open(&options.settings.device.adapter)?;
     let mut session = Session::new(&device, recording, &options)?;
     let mut log = Log::create(&out, &info, session.slam().settings())?;
+    log.write_poses_before(session.slam().trajectory())?;
     log.explain = arguments.explain;
     let stop = console::StopOnCtrlC::new(session.stop_switch());
     let bar = console::bar(frames.map_or(info.frames, |f| f.len()) as u64, "frames", arguments.quiet);
@@ -300,6 +365,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let mut errors: Vec<Error> = log.failure.take().into_iter().chain(ended.error.clone().map(Error::msg)).collect();
     let mut keep = |result: Result<()>| errors.extend(result.err());
     keep(log.timings.finish(&ended.reports).context("cannot write timings.csv"));
+    if let Some(path) = &arguments.save {
+        keep(session.slam().save(path).with_context(|| format!("the map is not saved in '{}'", path.display())));
+    }
     let mut mesh = None;
     if !arguments.no_mesh {
         keep(write_mesh(&mut session, &out, arguments).map(|written| mesh = Some(written)));
@@ -404,10 +472,20 @@ impl Arguments {
                 Some((name, text))
             }
         };
+        let file = match (file, &self.map) {
+            (None, Some(path)) => {
+                let reader = MapReader::open(path)?;
+                Some((format!("the settings in '{}'", path.display()), reader.header().settings.clone()))
+            }
+            (file, _) => file,
+        };
         let file = file.as_ref().map(|(name, text)| (name.as_str(), text.as_str()));
         let mut settings = Settings::resolve(file, &self.overrides)?;
         if let Some(tracker) = &self.tracker {
             settings.tracker.set_string(tracker)?;
+        }
+        if let Some(fusion) = self.fusion {
+            settings.map.fuse = fusion == Switch::On;
         }
         if let Some(device) = &self.device {
             settings.device.adapter.clone_from(device);
@@ -527,6 +605,15 @@ impl Log {
             done: VecDeque::new(),
             blocks: 0,
         })
+    }
+
+    /// Writes the poses of a session that goes on, so that the file holds all of them.
+    fn write_poses_before(&mut self, before: &Trajectory) -> Result<()> {
+        for (pose, place) in before.poses().iter().zip(0..) {
+            let number = self.info.image_number(pose.timestamp).unwrap_or(place);
+            self.trajectory.write(number, pose)?;
+        }
+        Ok(())
     }
 
     /// Runs the session to its end. Where results cannot be written any more, it is stopped, and `failure` says why.

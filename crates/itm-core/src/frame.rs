@@ -52,7 +52,7 @@ impl DepthImage {
 }
 
 /// A gyroscope's reading.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AngularRate {
     /// When, by the depth camera's clock.
     pub timestamp: Timestamp,

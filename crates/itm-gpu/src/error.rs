@@ -100,6 +100,12 @@ pub enum Error {
         /// The calibration's.
         expected: (u32, u32),
     },
+    /// A saved state whose parts do not fit together.
+    #[error("the saved state of the {what} does not fit this session")]
+    State {
+        /// Of what.
+        what: &'static str,
+    },
     /// More blocks than the device can hold.
     #[error("{wanted} blocks do not fit: this device can hold {limit}")]
     TooManyBlocks {

@@ -17,8 +17,10 @@ pub(crate) const COUNTERS: u64 = 16;
 /// Words of the counters, as `shared/map.wgsl` names them.
 pub(crate) mod counter {
     pub(crate) const BLOCKS: u32 = 0;
+    pub(crate) const FREE_BLOCKS: u32 = 1;
     pub(crate) const VISIBLE: u32 = 2;
     pub(crate) const REQUESTED: u32 = 3;
+    pub(crate) const PENDING: u32 = 5;
     pub(crate) const FRAGMENTS: u32 = 6;
     pub(crate) const TOMBSTONES: u32 = 8;
 }
@@ -332,17 +334,9 @@ impl BlockMap {
             let in_page = index & ((1 << self.page_shift) - 1);
             let room = (upload - in_page % upload) as usize;
             let (now, later) = rest.split_at(room.min(rest.len()));
-            let page = (index >> self.page_shift) as usize;
+            self.write_words(index, now);
             let keys: Vec<[u32; 2]> = now.iter().map(|b| b.key.pack()).collect();
             queue.write_buffer(&self.keys, u64::from(index) * 8, bytemuck::cast_slice(&keys));
-            let mut first_word = 0;
-            for plane in &self.planes {
-                let end = first_word + plane.block_words();
-                let words: Vec<u32> = now.iter().flat_map(|b| &b.words[first_word..end]).copied().collect();
-                let at = u64::from(in_page) * plane.block_bytes();
-                queue.write_buffer(&plane.pages[page], at, bytemuck::cast_slice(&words));
-                first_word = end;
-            }
             // Lets the staging buffers go.
             queue.submit([]);
             index += now.len() as u32;
@@ -354,6 +348,24 @@ impl BlockMap {
         crate::hash::Hash::new(&device).rebuild(&mut recorder, self);
         let _untimed = recorder.submit();
         device.wait()
+    }
+
+    /// Writes the voxels of blocks whose indices follow one another within a page.
+    pub(crate) fn write_words(&self, first: u32, blocks: &[HostBlock<'_>]) {
+        let page = (first >> self.page_shift) as usize;
+        let in_page = first & ((1 << self.page_shift) - 1);
+        let mut first_word = 0;
+        for plane in &self.planes {
+            let end = first_word + plane.block_words();
+            let words: Vec<u32> = blocks.iter().flat_map(|b| &b.words[first_word..end]).copied().collect();
+            let at = u64::from(in_page) * plane.block_bytes();
+            self.device.queue.write_buffer(&plane.pages[page], at, bytemuck::cast_slice(&words));
+            first_word = end;
+        }
+    }
+
+    pub(crate) fn device(&self) -> &Device {
+        &self.device
     }
 
     /// Lays the grid around a view: from now on it covers every block that the camera can see between its nearest and

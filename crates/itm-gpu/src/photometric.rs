@@ -40,6 +40,10 @@ impl PointList {
         &self.levels[level.saturating_sub(self.finest).min(self.levels.len() - 1)]
     }
 
+    pub(crate) fn buffers(&self) -> impl Iterator<Item = &wgpu::Buffer> {
+        self.levels.iter().map(|(_, buffer)| buffer)
+    }
+
     /// Empties the lists.
     pub fn clear(&self, recorder: &mut Recorder) {
         for (_, points) in &self.levels {

@@ -17,6 +17,29 @@ pub enum Error {
     /// In the calibration.
     #[error(transparent)]
     Calibration(#[from] itm_core::CalibrationError),
+    /// A map file that holds no session, or one that this version cannot go on from.
+    #[error("cannot go on from '{}': {reason}", path.display())]
+    SavedState {
+        /// The file.
+        path: std::path::PathBuf,
+        /// Why not.
+        reason: String,
+    },
+    /// A map that is not of the kind that the settings ask for.
+    #[error("the map '{}' has {what} {map}, but the settings say {settings}", path.display())]
+    OtherMap {
+        /// The file.
+        path: std::path::PathBuf,
+        /// What differs.
+        what: &'static str,
+        /// What the map has.
+        map: String,
+        /// What the settings say.
+        settings: String,
+    },
+    /// Nothing is to be fused, and there is no map to track against.
+    #[error("map.fuse is off, so that nothing can be mapped, but there is no map to start in (--map)")]
+    NothingToTrackAgainst,
     /// Given poses were asked for, and the recording has none.
     #[error("the recording '{recording}' has no poses, so it cannot be fused with given ones")]
     NoPoses {

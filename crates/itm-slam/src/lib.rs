@@ -22,6 +22,7 @@
 mod error;
 mod frame_result;
 mod mapper;
+mod saving;
 mod session;
 mod slam;
 mod swapping;
@@ -29,7 +30,8 @@ pub mod tracking;
 
 pub use error::Error;
 pub use frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
-pub use session::{Event, Session, SessionOptions, Summary};
+pub use saving::{SavedSession, settings_of};
+pub use session::{Event, Session, SessionOptions, Start, Summary};
 pub use slam::{Poses, Slam};
 
 pub use itm_core::*;

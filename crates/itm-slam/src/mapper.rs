@@ -11,12 +11,17 @@ use itm_gpu::integrate::{Integrate, IntegrateOptions};
 use itm_gpu::normals::Normals;
 use itm_gpu::ranges::Ranges;
 use itm_gpu::raycast::Raycast;
-use itm_gpu::swap::{Arrivals, PlacesReader};
+use itm_gpu::swap::{AGE_BINS, Arrivals, Left, PlacesReader};
 use itm_gpu::visible::Visible;
-use itm_gpu::{BlockMap, Device, FrameRecord, MapLayout, RaycastImage, RecordReader, Recorder, StageTimes, View};
+use itm_gpu::{
+    BlockMap, Device, FrameRecord, HostBlock, MapLayout, MapState, RaycastImage, RecordReader, Recorder, StageTimes,
+    View,
+};
+use itm_io::map_file::{MapReader, Tag};
+use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::swapping::{InMotion, Swapped, Viewed};
+use crate::swapping::{InMotion, Moved, Swapped, Viewed};
 
 /// A frame's record is consumed at this many frames later, whenever it arrived, so that growth happens at the same frame
 /// in every run.
@@ -45,7 +50,7 @@ pub(crate) struct Mapper {
     /// Blocks that the map may grow to.
     limit: u32,
     /// The host's part of the map, where blocks may leave the device.
-    swapped: Option<Swapped>,
+    pub(crate) swapped: Option<Swapped>,
     /// Views that blocks were swapped for so far; ages count them.
     clock: u32,
     /// What the next frame has leave: how many at most, and from which age on.
@@ -60,9 +65,65 @@ struct Waiting {
     place: u64,
     /// The frame's own index.
     frame: u64,
-    record: RecordReader,
+    found: Found,
     times: Vec<StageTimes>,
-    motion: InMotion,
+    most_leaving: u32,
+}
+
+/// What a frame left behind on the device.
+enum Found {
+    /// To be read.
+    OnDevice(RecordReader, Box<InMotion>),
+    /// Read, but not taken over yet: that happens at its frame.
+    Read(FrameRecord, Moved),
+}
+
+/// A [`Mapper`]'s state as it is saved.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct MapperState {
+    pub(crate) capacity: u32,
+    demand: u32,
+    empty: bool,
+    frames: u64,
+    limit: u32,
+    clock: u32,
+    leaving: Option<(u32, u32)>,
+    rebuild: bool,
+    ages: Vec<u32>,
+    near: u32,
+    arriving: Vec<[u32; 2]>,
+    waiting: Vec<WaitingState>,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+struct WaitingState {
+    place: u64,
+    frame: u64,
+    record: [u32; 8],
+    most_leaving: u32,
+    ages: Option<Vec<u32>>,
+    /// How many blocks left; they lie in the file in the order of their frames.
+    left: Option<usize>,
+    /// Which blocks were brought, and whether each found room.
+    brought: Option<Vec<([u32; 2], bool)>>,
+}
+
+impl Waiting {
+    fn read(&mut self, device: &Device) -> Result<(&FrameRecord, &mut Moved), Error> {
+        if let Found::OnDevice(record, motion) = std::mem::replace(&mut self.found, Found::nothing()) {
+            self.found = Found::Read(record.read(device)?, motion.read(device)?);
+        }
+        match &mut self.found {
+            Found::Read(record, moved) => Ok((record, moved)),
+            Found::OnDevice(..) => unreachable!("it was just read"),
+        }
+    }
+}
+
+impl Found {
+    fn nothing() -> Self {
+        Self::Read(FrameRecord::default(), Moved::default())
+    }
 }
 
 /// What became known of a frame `RECORD_DELAY` frames later.
@@ -119,6 +180,119 @@ impl Mapper {
         })
     }
 
+    /// What the next frames depend on beside the map and the host's store; reads what is on its way.
+    pub(crate) fn state(&mut self) -> Result<MapperState, Error> {
+        let mut waiting = Vec::new();
+        for frame in &mut self.waiting {
+            let (record, moved) = frame.read(&self.device)?;
+            let (record, moved) = (record.to_words(), moved.clone());
+            waiting.push(WaitingState {
+                place: frame.place,
+                frame: frame.frame,
+                record,
+                most_leaving: frame.most_leaving,
+                ages: moved.ages,
+                left: moved.left.map(|left| left.keys.len()),
+                brought: moved.places.map(|(keys, placed)| keys.iter().map(|k| k.pack()).zip(placed).collect()),
+            });
+        }
+        let swapped = self.swapped.as_ref();
+        Ok(MapperState {
+            capacity: self.map.capacity(),
+            demand: self.demand,
+            empty: self.empty,
+            frames: self.frames,
+            limit: self.limit,
+            clock: self.clock,
+            leaving: self.leaving,
+            rebuild: self.rebuild,
+            ages: swapped.map(|s| s.ages.clone()).unwrap_or_default(),
+            near: swapped.map_or(0, |s| s.near),
+            arriving: swapped.map(|s| s.arriving.iter().copied().collect()).unwrap_or_default(),
+            waiting,
+        })
+    }
+
+    /// What has left the device but is not in the store yet, once [`Mapper::state`] has read it.
+    pub(crate) fn left(&self) -> impl Iterator<Item = &Left> {
+        self.waiting.iter().filter_map(|frame| match &frame.found {
+            Found::Read(_, moved) => moved.left.as_ref(),
+            Found::OnDevice(..) => None,
+        })
+    }
+
+    /// Replaces the map by one that was read back, without its voxels.
+    pub(crate) fn restore(&mut self, state: &MapState) -> Result<(), Error> {
+        self.map = BlockMap::from_state(&self.device, *self.map.layout(), state)?;
+        Ok(())
+    }
+
+    /// Takes over what [`Mapper::state`] gave. `left` are the blocks of all its frames.
+    pub(crate) fn set_state(&mut self, state: &mut MapperState, left: Left, block_words: usize) {
+        let (mut keys, mut words) = (left.keys.into_iter(), left.words.into_iter());
+        let mut left = |count: usize| Left {
+            keys: keys.by_ref().take(count).collect(),
+            words: words.by_ref().take(count * block_words).collect(),
+        };
+        let unzip = |brought: Vec<([u32; 2], bool)>| -> (Vec<BlockKey>, Vec<bool>) {
+            brought.into_iter().map(|(key, placed)| (BlockKey::unpack(key), placed)).unzip()
+        };
+        for frame in state.waiting.drain(..) {
+            let moved = Moved { ages: frame.ages, left: frame.left.map(&mut left), places: frame.brought.map(unzip) };
+            self.waiting.push_back(Waiting {
+                place: frame.place,
+                frame: frame.frame,
+                found: Found::Read(FrameRecord::from_words(frame.record), moved),
+                times: Vec::new(),
+                most_leaving: frame.most_leaving,
+            });
+        }
+        self.demand = state.demand;
+        self.empty = state.empty;
+        self.frames = state.frames;
+        self.limit = self.limit.min(state.limit);
+        self.clock = state.clock;
+        self.leaving = state.leaving;
+        self.rebuild = state.rebuild;
+        if let Some(swapped) = &mut self.swapped {
+            swapped.ages = std::mem::take(&mut state.ages);
+            swapped.ages.resize(AGE_BINS, 0);
+            swapped.near = state.near;
+            swapped.arriving = state.arriving.iter().copied().collect();
+        }
+    }
+
+    /// Takes blocks of a map file in: into the host's store, from where those near the view come to the device; or to the
+    /// device, where none may leave it.
+    pub(crate) fn take_in(&mut self, reader: &mut MapReader, section: Tag) -> Result<(), Error> {
+        self.empty = false;
+        if let Some(swapped) = self.swapped.as_mut().filter(|_| self.settings.map.swapping == Swapping::Host) {
+            reader.blocks::<Error>(section, |key, words| match key {
+                Some(key) => swapped.put(key, words),
+                None => Ok(()),
+            })?;
+            return Ok(());
+        }
+        let mut some: Vec<(BlockKey, Vec<u32>)> = Vec::new();
+        let limit = self.limit;
+        let map = &mut self.map;
+        let mut insert = |some: &mut Vec<(BlockKey, Vec<u32>)>| -> Result<(), Error> {
+            let wanted = u64::from(map.read_record()?.blocks) + some.len() as u64;
+            if wanted > limit.into() {
+                return Err(itm_gpu::Error::TooManyBlocks { wanted, limit }.into());
+            }
+            let blocks: Vec<_> = some.iter().map(|(key, words)| HostBlock { key: *key, words }).collect();
+            map.insert_blocks(&blocks)?;
+            some.clear();
+            Ok(())
+        };
+        reader.blocks::<Error>(section, |key, words| {
+            some.extend(key.map(|key| (key, words.to_vec())));
+            if some.len() == 16_384 { insert(&mut some) } else { Ok(()) }
+        })?;
+        insert(&mut some)
+    }
+
     /// Takes over what an earlier frame's record says. Called once a frame, before anything is allocated.
     pub(crate) fn consume(&mut self) -> Result<Option<Late>, Error> {
         self.frames += 1;
@@ -139,11 +313,12 @@ impl Mapper {
         waiting.into_iter().map(|w| self.take(w)).collect()
     }
 
-    fn take(&mut self, waiting: Waiting) -> Result<Late, Error> {
+    fn take(&mut self, mut waiting: Waiting) -> Result<Late, Error> {
+        let (record, moved) = waiting.read(&self.device)?;
+        let (record, moved) = (*record, std::mem::take(moved));
         if let Some(swapped) = &mut self.swapped {
-            let _placed = swapped.settle(&self.device, waiting.motion)?;
+            let _placed = swapped.settle(moved)?;
         }
-        let record = waiting.record.read(&self.device)?;
         let mut stage_ms = Vec::new();
         for times in waiting.times {
             stage_ms.extend(times.read(&self.device)?);
@@ -173,7 +348,7 @@ impl Mapper {
             return;
         }
         // What left since that record was taken is not in it.
-        let on_their_way: u32 = self.waiting.iter().map(|waiting| waiting.motion.most_leaving).sum();
+        let on_their_way: u32 = self.waiting.iter().map(|waiting| waiting.most_leaving).sum();
         // A few more, so that not every frame has to.
         let wanted = (needed - self.limit + self.limit / 32).saturating_sub(on_their_way);
         let most = wanted.min(swapped.outgoing.room());
@@ -266,7 +441,13 @@ impl Mapper {
         self.confidence.record(&mut recorder, &self.map, model);
         let record = self.map.record_counters(&mut recorder);
         times.push(recorder.submit());
-        self.waiting.push_back(Waiting { place: self.frames, frame, record, times, motion });
+        self.waiting.push_back(Waiting {
+            place: self.frames,
+            frame,
+            most_leaving: motion.most_leaving,
+            found: Found::OnDevice(record, Box::new(motion)),
+            times,
+        });
         Ok(true)
     }
 
@@ -328,9 +509,10 @@ impl Mapper {
             return Ok(());
         }
         for waiting in &mut self.waiting {
-            let motion = std::mem::take(&mut waiting.motion);
+            let (_, moved) = waiting.read(&self.device)?;
+            let moved = std::mem::take(moved);
             if let Some(swapped) = &mut self.swapped {
-                let _placed = swapped.settle(&self.device, motion)?;
+                let _placed = swapped.settle(moved)?;
             }
         }
         loop {
@@ -349,7 +531,7 @@ impl Mapper {
             motion.places = places.map(|places| (keys, places));
             let _untimed = recorder.submit();
             let Some(swapped) = &mut self.swapped else { return Ok(()) };
-            if swapped.settle(&self.device, motion)? == 0 {
+            if swapped.settle(motion.read(&self.device)?)? == 0 {
                 return Ok(());
             }
         }

@@ -1,15 +1,16 @@
 //! Running over a recording as a stream of events.
 
 use std::ops::Range;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use itm_core::{Mesh, Settings, SettingsError, Timestamp, TrackerKind, TrackerSettings};
+use itm_core::{Mesh, Se3, Settings, SettingsError, Timestamp, TrackerKind, TrackerSettings};
 use itm_io::recording::{ReadAhead, Recording, RecordingInfo};
 use itm_io::trajectory::PoseFiles;
 
-use crate::{Device, Error, FrameReport, FrameResult, FrameStatus, Poses, Slam};
+use crate::{Device, Error, FrameReport, FrameResult, FrameStatus, Poses, SavedSession, Slam};
 
 /// How a recording is run.
 #[derive(Clone, Debug)]
@@ -18,8 +19,28 @@ pub struct SessionOptions {
     pub settings: Settings,
     /// Where poses come from.
     pub poses: Poses,
-    /// Which frames, by their place in the recording; `None` for all.
+    /// Which frames, by their place in the recording; `None` for all, or all that are left where a session goes on.
     pub frames: Option<Range<usize>>,
+    /// What the run starts from.
+    pub start: Start,
+}
+
+/// What a run starts from.
+#[derive(Clone, Debug, Default)]
+pub enum Start {
+    /// An empty map. The first frame's camera is the world's origin.
+    #[default]
+    Afresh,
+    /// A saved session, which goes on. Its settings, its calibration and where its poses come from are its own, whatever
+    /// the options say.
+    Resume(PathBuf),
+    /// A saved map, at a pose in it.
+    InMap {
+        /// The map file.
+        path: PathBuf,
+        /// Where the first frame's depth camera is, or nearly.
+        world_from_camera: Se3,
+    },
 }
 
 /// What happens in a run, in order.
@@ -95,6 +116,17 @@ impl Session {
     /// # Errors
     /// As [`Session::check`]; also where the calibration cannot be used, or the device has no room.
     pub fn new(device: &Device, recording: Box<dyn Recording>, options: &SessionOptions) -> Result<Self, Error> {
+        let resumed;
+        let options = match &options.start {
+            Start::Resume(path) => {
+                let SavedSession { settings, poses, next_frame, .. } = SavedSession::open(path)?;
+                let next = usize::try_from(next_frame).unwrap_or(usize::MAX);
+                let frames = options.frames.clone().unwrap_or(next..recording.info().frames.max(next));
+                resumed = SessionOptions { settings, poses, frames: Some(frames), start: options.start.clone() };
+                &resumed
+            }
+            _ => options,
+        };
         let range = Self::check(recording.as_ref(), options)?;
         let info = recording.info().clone();
         let mut settings = options.settings.clone();
@@ -104,7 +136,13 @@ impl Session {
         if extended && options.poses == Poses::Tracked {
             without_colour(&mut settings, &info);
         }
-        let slam = Slam::new(device, &info.calibration, &settings, options.poses)?;
+        let slam = match &options.start {
+            Start::Afresh => Slam::new(device, &info.calibration, &settings, options.poses)?,
+            Start::Resume(path) => Slam::resume(device, path)?,
+            Start::InMap { path, world_from_camera } => {
+                Slam::in_map(device, &info.calibration, &settings, path, world_from_camera)?
+            }
+        };
         let summary = Summary { frames: range.len(), ..Summary::default() };
         Ok(Self {
             slam,
@@ -138,6 +176,9 @@ impl Session {
                 last: range.end.saturating_sub(1),
                 frames: info.frames,
             });
+        }
+        if !options.settings.map.fuse && matches!(options.start, Start::Afresh) {
+            return Err(Error::NothingToTrackAgainst);
         }
         if options.poses == Poses::Tracked {
             check_tracker(recording, &options.settings, &range)?;

@@ -31,30 +31,32 @@ pub enum Poses {
 
 /// Reconstruction from a stream of frames.
 pub struct Slam {
-    device: Device,
-    calibration: Calibration,
-    settings: Settings,
-    poses: Poses,
+    pub(crate) device: Device,
+    pub(crate) calibration: Calibration,
+    pub(crate) settings: Settings,
+    pub(crate) poses: Poses,
     view_options: ViewOptions,
     view_stage: ViewStage,
     view: View,
-    tracker: Tracker,
+    pub(crate) tracker: Tracker,
     evaluator: Evaluator,
     /// Surface points with the colours of the frame before and of the map, where the tracker compares them.
-    lists: [Option<PointList>; 2],
-    motion: Motion,
-    age: Age,
-    mapper: Mapper,
+    pub(crate) lists: [Option<PointList>; 2],
+    pub(crate) motion: Motion,
+    pub(crate) age: Age,
+    pub(crate) mapper: Mapper,
     render: Render,
     extract: Extract,
     /// The map as seen from the last fused pose.
-    model: RaycastImage,
-    world_from_model: Option<Se3>,
+    pub(crate) model: RaycastImage,
+    pub(crate) world_from_model: Option<Se3>,
     /// The last pose with a good verdict, to which tracking returns after a loss.
-    last_good: Option<Se3>,
+    pub(crate) last_good: Option<Se3>,
     /// Good frames still to come after a loss before frames are fused again.
-    to_recover: u32,
-    trajectory: Trajectory,
+    pub(crate) to_recover: u32,
+    pub(crate) trajectory: Trajectory,
+    /// One more than the number of the last frame.
+    pub(crate) next_frame: u64,
 }
 
 impl std::fmt::Debug for Slam {
@@ -108,6 +110,7 @@ impl Slam {
             last_good: None,
             to_recover: 0,
             trajectory: Trajectory::default(),
+            next_frame: 0,
         })
     }
 
@@ -134,6 +137,20 @@ impl Slam {
     /// Bytes of device memory that the map takes.
     pub fn map_bytes(&self) -> u64 {
         self.mapper.map.device_bytes()
+    }
+
+    /// Blocks of the map that lie in the host's store.
+    pub fn stored_blocks(&self) -> usize {
+        self.mapper.swapped.as_ref().map_or(0, |swapped| swapped.store.len())
+    }
+
+    /// Blocks of the map wherever they lie. Waits.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn saved_blocks(&self) -> Result<usize, Error> {
+        let record = self.mapper.map.read_record()?;
+        Ok((record.blocks - record.free_blocks) as usize + self.stored_blocks())
     }
 
     /// Takes in a frame: view, track, allocate, integrate, raycast.
@@ -213,7 +230,11 @@ impl Slam {
         let after_loss = settings.verdict.frames_to_recover + 1;
         // What was found after a loss may be wrong, so the search goes on until frames are good again.
         let searching = on_failure == OnFailure::Relocalise && self.to_recover > 0;
-        let further = if searching { around(&world_from_model) } else { Vec::new() };
+        let mut further = if searching { around(&world_from_model) } else { Vec::new() };
+        if self.motion.last().is_none() {
+            // In a saved map no frame has come before.
+            further.insert(0, world_from_model);
+        }
         let mut tracker = self.tracker.clone();
         let (motion, age) = (self.motion.clone(), self.age);
         let mut objective = self.objective(frame, world_from_model);
@@ -258,6 +279,18 @@ impl Slam {
         Ok(located)
     }
 
+    /// Tracking begins at a pose in the map.
+    pub(crate) fn start_at(&mut self, world_from_camera: &Se3) -> Result<(), Error> {
+        let far = self.settings.view.max_depth_m + self.settings.map.truncation_m;
+        self.mapper.cast_for_tracking(&self.model, world_from_camera, far)?;
+        self.world_from_model = Some(*world_from_camera);
+        self.last_good = self.world_from_model;
+        let mut recorder = Recorder::new(&self.device);
+        self.record_map_list(&mut recorder, world_from_camera);
+        let _untimed = recorder.submit();
+        Ok(())
+    }
+
     /// Where the world begins: at the first camera, unless poses come from files.
     fn first_pose(&self, frame: &Frame) -> Result<Option<Se3>, Error> {
         self.tracker.pose_from_file(frame).unwrap_or(Ok(Some(Se3::IDENTITY)))
@@ -291,7 +324,10 @@ impl Slam {
         track_ms: f64,
         report: Option<FrameReport>,
     ) -> Result<FrameResult, Error> {
-        let Located { mut status, tracked, mut pose, fuse } = located;
+        let Located { mut status, tracked, mut pose, mut fuse } = located;
+        // Where the map is only looked at.
+        fuse &= self.settings.map.fuse;
+        self.next_frame = frame.index + 1;
         let mut fused = false;
         if let Some(world_from_camera) = pose {
             let lead = self.motion.colour_lead(frame, &self.settings.view);

@@ -39,6 +39,31 @@ pub(crate) struct InMotion {
     pub(crate) most_leaving: u32,
 }
 
+/// What a frame set in motion, once it has been done.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Moved {
+    pub(crate) ages: Option<Vec<u32>>,
+    pub(crate) left: Option<Left>,
+    /// Which of the blocks that were brought found room.
+    pub(crate) places: Option<(Vec<BlockKey>, Vec<bool>)>,
+}
+
+impl InMotion {
+    /// What became of it; waits for the frame.
+    pub(crate) fn read(self, device: &Device) -> Result<Moved, Error> {
+        let Self { ages, leaving, places, most_leaving: _ } = self;
+        let places = match places {
+            Some((keys, places)) => Some((keys, places.read(device)?)),
+            None => None,
+        };
+        Ok(Moved {
+            ages: ages.map(|ages| ages.read(device)).transpose()?,
+            left: leaving.map(|leaving| leaving.read(device)).transpose()?,
+            places,
+        })
+    }
+}
+
 /// The host's part of the map.
 #[derive(Debug)]
 pub(crate) struct Swapped {
@@ -53,9 +78,9 @@ pub(crate) struct Swapped {
     /// Stored blocks by cell.
     cells: Cells,
     /// Stored blocks that were brought to the device, but are not known to have found room there yet.
-    arriving: BTreeSet<[u32; 2]>,
+    pub(crate) arriving: BTreeSet<[u32; 2]>,
     /// Ages of the blocks outside the view, as last known.
-    ages: Vec<u32>,
+    pub(crate) ages: Vec<u32>,
     /// Stored blocks near the last view.
     pub(crate) near: u32,
 }
@@ -99,16 +124,16 @@ impl Swapped {
         Ok(())
     }
 
-    /// Takes over what a frame set in motion, once it has been done. Returns how many blocks came back.
-    pub(crate) fn settle(&mut self, device: &Device, motion: InMotion) -> Result<u32, Error> {
+    /// Takes over what a frame set in motion. Returns how many blocks came back.
+    pub(crate) fn settle(&mut self, moved: Moved) -> Result<u32, Error> {
         let mut back = 0;
-        let InMotion { ages, leaving, places, most_leaving: _ } = motion;
+        let Moved { ages, left, places } = moved;
         if let Some(ages) = ages {
-            self.ages = ages.read(device)?;
+            self.ages = ages;
         }
         if let Some((keys, places)) = places {
             let mut spare = vec![0; self.kind.block_words()];
-            for (key, placed) in keys.into_iter().zip(places.read(device)?) {
+            for (key, placed) in keys.into_iter().zip(places) {
                 self.arriving.remove(&key.pack());
                 if placed {
                     back += 1;
@@ -117,8 +142,7 @@ impl Swapped {
                 }
             }
         }
-        if let Some(leaving) = leaving {
-            let Left { keys, words } = leaving.read(device)?;
+        if let Some(Left { keys, words }) = left {
             for (key, block) in keys.into_iter().zip(words.chunks(self.kind.block_words())) {
                 self.put(key, block)?;
             }

@@ -17,6 +17,7 @@ use itm_core::Se3;
 use itm_gpu::icp::DepthTerm;
 use itm_gpu::photometric::PhotometricTerm;
 use itm_gpu::{DepthSums, PhotometricSums};
+use serde::{Deserialize, Serialize};
 
 pub(crate) use classifier::CHECK_LEVELS;
 pub use classifier::{Classifier, FEATURES, Features, terms};
@@ -25,12 +26,12 @@ pub use motion::Motion;
 pub(crate) use on_gpu::{ModelObjective, colour_offset};
 pub use optimise::{Outcome, optimise};
 pub use plan::{Age, LevelPlan, Part, Plan};
-pub use tracker::{Moment, Tracker};
+pub use tracker::{Learnt, Moment, Tracker};
 pub use verdict::{Tracked, Verdict};
 
 /// What a colour is multiplied by, and what is added then, to become what another image shows: the difference between two
 /// exposures.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Exposure {
     /// Factor.
     pub gain: f64,

@@ -111,6 +111,8 @@ pub struct MapSettings {
     pub empty_loss: u16,
     /// Colour is fused where the distance to the surface is at most this share of the truncation band.
     pub colour_band: f32,
+    /// Whether frames are fused into the map; off to find the camera in a map without changing it.
+    pub fuse: bool,
     /// How blocks are found: `hash`, wherever the camera goes, or `dense`, a box of `dense.size` that is there as a whole from
     /// the start and beyond which nothing is kept.
     pub index: MapIndex,
@@ -201,6 +203,7 @@ impl Default for MapSettings {
             confidence: false,
             empty_loss: 0,
             colour_band: 0.25,
+            fuse: true,
             index: MapIndex::Hash,
             initial_blocks: 16_384,
             device_budget_mib: 0.0,

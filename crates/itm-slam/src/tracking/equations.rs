@@ -3,11 +3,12 @@
 use itm_gpu::icp::DepthTerm;
 use itm_gpu::{DepthSums, PhotometricSums};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix6, Matrix6x2, SymmetricEigen, Vector2, Vector6};
+use serde::{Deserialize, Serialize};
 
 use super::{Evaluation, Exposure, Guess, Part, Plan, Request};
 
 /// Standard deviations of the terms' residuals, by which they are made comparable.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Noise {
     /// Of distances from a plane, in metres, for a pixel that counts fully.
     pub depth_m: f64,

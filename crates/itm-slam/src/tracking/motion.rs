@@ -2,9 +2,10 @@
 
 use glam::{DQuat, DVec3};
 use itm_core::{AngularRate, Frame, ImuSettings, Se3, Timestamp, ViewSettings};
+use serde::{Deserialize, Serialize};
 
 /// How the camera moved lately.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Motion {
     /// The last pose and its time.
     last: Option<(Timestamp, Se3)>,

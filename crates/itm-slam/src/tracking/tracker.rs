@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use itm_core::{CompositePolicy, Frame, Intrinsics, Se3, Settings, TrackerKind};
 use itm_io::trajectory::PoseFiles;
+use serde::{Deserialize, Serialize};
 
 use super::plan::{Age, Plan};
 use super::{Exposure, Guess, Motion, Noise, Objective, Tracked, Verdict, classifier, optimise, verdict};
@@ -18,6 +19,18 @@ pub struct Moment<'a> {
     pub motion: &'a Motion,
     /// The map's age.
     pub age: Age,
+}
+
+/// What a tracker has learnt of the sensor, and those that it is made of.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Learnt {
+    /// Of each term.
+    pub noise: Noise,
+    /// Between the map's colours and the last frame's.
+    pub map_exposure: Exposure,
+    /// Of a composite.
+    #[serde(default)]
+    pub parts: Vec<Learnt>,
 }
 
 /// A tracker, with what it has learnt of the sensor.
@@ -55,6 +68,21 @@ impl Tracker {
         };
         let (noise, map_exposure) = (Noise::default(), Exposure::default());
         Ok(Self { settings: settings.clone(), camera: *camera, parts, noise, map_exposure, poses })
+    }
+
+    /// What it has learnt so far.
+    pub fn learnt(&self) -> Learnt {
+        let parts = self.parts.iter().map(Self::learnt).collect();
+        Learnt { noise: self.noise, map_exposure: self.map_exposure, parts }
+    }
+
+    /// Takes over what another one has learnt.
+    pub fn learn(&mut self, learnt: &Learnt) {
+        self.noise = learnt.noise;
+        self.map_exposure = learnt.map_exposure;
+        for (part, learnt) in self.parts.iter_mut().zip(&learnt.parts) {
+            part.learn(learnt);
+        }
     }
 
     /// The pose that a file holds for a frame; `None` for trackers that take none from files.
@@ -191,7 +219,6 @@ impl Tracker {
     fn starts(&self, moment: &Moment<'_>, further: &[Se3]) -> Vec<Se3> {
         let Moment { frame, motion, .. } = *moment;
         let t = &self.settings.tracker;
-        let last = motion.last().unwrap_or_default();
         let imu = |kind: TrackerKind| matches!(kind, TrackerKind::ImuIcp | TrackerKind::ExtendedImu);
         let uses_imu = imu(t.kind) || self.parts.iter().any(|part| imu(part.settings.tracker.kind));
         let mut starts = Vec::new();
@@ -202,7 +229,7 @@ impl Tracker {
             (Some(turned), Some(predicted)) => Some(Se3::new(turned.rotation, predicted.translation)),
             (turned, predicted) => turned.or(predicted),
         });
-        starts.push(last);
+        starts.extend(motion.last());
         starts.extend(further);
         starts
     }

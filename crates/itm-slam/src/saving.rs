@@ -1,0 +1,291 @@
+//! Saving a session in a map file, and going on from one.
+//!
+//! A file holds the map wherever its blocks lie, the trajectory, and all that the next frame depends on: a session that goes
+//! on from it does, to the bit, what the one that was saved would have done. What was on its way between device and host is
+//! read when the session is saved, and still taken over at its frame.
+
+use std::path::Path;
+
+use itm_core::voxel::BlockKey;
+use itm_core::{Se3, Settings};
+use itm_gpu::swap::Left;
+use itm_gpu::{Device, HostBlock, MapState};
+use itm_io::map_file::{MapHeader, MapReader, MapWriter, Tag, tag};
+use serde::{Deserialize, Serialize};
+
+use crate::mapper::MapperState;
+use crate::tracking::{Learnt, Motion};
+use crate::{Error, Poses, Slam};
+
+/// What a session needs beside its map to go on.
+const STATE: Tag = *b"STAT";
+/// Of the device's block map, all but the voxels.
+const COUNTERS: Tag = *b"CNTR";
+const FREE_BLOCKS: Tag = *b"FREE";
+const PENDING: Tag = *b"PEND";
+const LAST_SEEN: Tag = *b"SEEN";
+/// Blocks that have left the device but are not in the host's store yet.
+const LEFT: Tag = *b"LEFT";
+/// Points and normals of the model that the next frame is tracked against.
+const MODEL: Tag = *b"MODL";
+/// Points with the colours of the frame before, and of the map.
+const LISTS: [Tag; 2] = [*b"LSTP", *b"LSTM"];
+
+/// The host's part of what a session needs beside its map.
+#[derive(Debug, Serialize, Deserialize)]
+struct State {
+    poses_given: bool,
+    next_frame: u64,
+    fused_frames: u64,
+    to_recover: u32,
+    world_from_model: Option<Se3>,
+    last_good: Option<Se3>,
+    motion: Motion,
+    learnt: Learnt,
+    mapper: MapperState,
+}
+
+/// Of a saved session, what is to be known before a recording is opened for it.
+#[derive(Clone, Debug)]
+pub struct SavedSession {
+    /// Its settings.
+    pub settings: Settings,
+    /// Its calibration.
+    pub calibration: itm_core::Calibration,
+    /// Where its poses come from.
+    pub poses: Poses,
+    /// The number of the frame that comes next, by its place in the recording.
+    pub next_frame: u64,
+}
+
+impl SavedSession {
+    /// Looks into a map file.
+    ///
+    /// # Errors
+    /// Where it cannot be read, or holds a map but no session.
+    pub fn open(path: &Path) -> Result<Self, Error> {
+        let mut reader = MapReader::open(path)?;
+        let state = read_state(&mut reader, path)?;
+        Ok(Self {
+            settings: settings_of(reader.header(), path)?,
+            calibration: reader.header().calibration,
+            poses: if state.poses_given { Poses::Given } else { Poses::Tracked },
+            next_frame: state.next_frame,
+        })
+    }
+}
+
+/// The settings that a map was made with.
+///
+/// # Errors
+/// Where this version does not know them.
+pub fn settings_of(header: &MapHeader, path: &Path) -> Result<Settings, Error> {
+    Ok(Settings::resolve(Some((&format!("the settings in '{}'", path.display()), &header.settings)), &[])?)
+}
+
+fn read_state(reader: &mut MapReader, path: &Path) -> Result<State, Error> {
+    let unfit = |reason: String| Error::SavedState { path: path.to_path_buf(), reason };
+    if !reader.has(STATE) {
+        return Err(unfit("it holds a map, but no session that could go on; --map starts a new one in it".into()));
+    }
+    let text = String::from_utf8(reader.bytes(STATE)?).map_err(|e| unfit(e.to_string()))?;
+    toml::from_str(&text).map_err(|e| unfit(e.to_string()))
+}
+
+/// Numbers as bytes, least significant first.
+fn to_bytes(words: impl IntoIterator<Item = u32>) -> Vec<u8> {
+    words.into_iter().flat_map(u32::to_le_bytes).collect()
+}
+
+fn to_words(bytes: &[u8]) -> Vec<u32> {
+    bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
+}
+
+fn pairs(words: &[u32]) -> Vec<[u32; 2]> {
+    words.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect()
+}
+
+impl Slam {
+    /// Saves the map, and all that is needed to go on as if nothing had been saved. The file takes its name only once it is
+    /// whole: one of that name is replaced then, and stays as it is where that fails. Waits.
+    ///
+    /// # Errors
+    /// Where the file cannot be written, or the device fails. The session can go on.
+    pub fn save(&mut self, path: &Path) -> Result<(), Error> {
+        let state = State {
+            poses_given: self.poses == Poses::Given,
+            next_frame: self.next_frame,
+            fused_frames: self.age.frames,
+            to_recover: self.to_recover,
+            world_from_model: self.world_from_model,
+            last_good: self.last_good,
+            motion: self.motion.clone(),
+            learnt: self.tracker.learnt(),
+            mapper: self.mapper.state()?,
+        };
+        let on_device = self.mapper.map.read_state()?;
+        let mut header = MapHeader::new(&self.settings, self.calibration, self.mapper.map.layout().kind);
+        header.counts.frames = self.next_frame;
+        header.counts.device_blocks = on_device.keys.iter().filter(|key| **key != BlockKey::NO_KEY).count() as u64;
+        header.counts.host_blocks = self.mapper.swapped.as_ref().map_or(0, |s| s.store.len() as u64);
+
+        let mut writer = MapWriter::create(path, &header)?;
+        writer.blocks::<Error>(tag::BLOCKS, |sink| {
+            self.mapper.map.read_blocks::<Error>(|key, words| {
+                Ok(match key {
+                    Some(key) => sink.block(key, words)?,
+                    None => sink.unused()?,
+                })
+            })
+        })?;
+        if let Some(swapped) = &self.mapper.swapped {
+            writer.blocks::<Error>(tag::HOST_BLOCKS, |sink| {
+                let mut words = vec![0; header.voxel_kind.block_words()];
+                for key in swapped.store.keys() {
+                    swapped.store.get(key, &mut words)?;
+                    sink.block(key, &words)?;
+                }
+                Ok(())
+            })?;
+            writer.blocks::<Error>(LEFT, |sink| {
+                for left in self.mapper.left() {
+                    for (key, words) in left.keys.iter().zip(left.words.chunks(header.voxel_kind.block_words())) {
+                        sink.block(*key, words)?;
+                    }
+                }
+                Ok(())
+            })?;
+        }
+        writer.trajectory(&self.trajectory)?;
+        let text = toml::to_string(&state)
+            .map_err(|e| Error::SavedState { path: path.to_path_buf(), reason: e.to_string() })?;
+        writer.bytes(STATE, text.as_bytes())?;
+        writer.bytes(COUNTERS, &to_bytes(on_device.counters))?;
+        writer.bytes(FREE_BLOCKS, &to_bytes(on_device.free_blocks))?;
+        writer.bytes(PENDING, &to_bytes(on_device.pending.into_iter().flatten()))?;
+        writer.bytes(LAST_SEEN, &to_bytes(on_device.last_seen))?;
+        writer.bytes(MODEL, &self.model.read_bytes(&self.device)?)?;
+        for (tag, list) in LISTS.iter().zip(&self.lists) {
+            if let Some(list) = list {
+                writer.bytes(*tag, &list.read_bytes(&self.device)?)?;
+            }
+        }
+        Ok(writer.finish()?)
+    }
+
+    /// Goes on from a saved session, with its settings and its calibration. The device's adapter may be another one; the
+    /// same bits come out on the same adapter only.
+    ///
+    /// # Errors
+    /// Where the file cannot be read or holds no session, or the device has no room for it.
+    pub fn resume(device: &Device, path: &Path) -> Result<Self, Error> {
+        let mut reader = MapReader::open(path)?;
+        let mut state = read_state(&mut reader, path)?;
+        let settings = settings_of(reader.header(), path)?;
+        let poses = if state.poses_given { Poses::Given } else { Poses::Tracked };
+        let mut slam = Self::new(device, &reader.header().calibration.clone(), &settings, poses)?;
+        let kind = reader.header().voxel_kind;
+
+        let mut keys = Vec::new();
+        reader.blocks::<Error>(tag::BLOCKS, |key, _| {
+            keys.push(key.map_or(BlockKey::NO_KEY, BlockKey::pack));
+            Ok(())
+        })?;
+        let on_device = MapState {
+            capacity: state.mapper.capacity,
+            counters: to_words(&reader.bytes(COUNTERS)?),
+            free_blocks: to_words(&reader.bytes(FREE_BLOCKS)?),
+            pending: pairs(&to_words(&reader.bytes(PENDING)?)),
+            last_seen: to_words(&reader.bytes(LAST_SEEN)?),
+            keys,
+        };
+        slam.mapper.restore(&on_device)?;
+        let mut written = 0;
+        let mut some: Vec<(BlockKey, Vec<u32>)> = Vec::new();
+        let nowhere = BlockKey::unpack(BlockKey::NO_KEY);
+        let map = &slam.mapper.map;
+        let mut write = |some: &mut Vec<(BlockKey, Vec<u32>)>| {
+            let blocks: Vec<_> = some.iter().map(|(key, words)| HostBlock { key: *key, words }).collect();
+            map.write_blocks(written, &blocks);
+            written += blocks.len() as u32;
+            some.clear();
+        };
+        reader.blocks::<Error>(tag::BLOCKS, |key, words| {
+            some.push((key.unwrap_or(nowhere), words.to_vec()));
+            if some.len() == 1024 {
+                write(&mut some);
+            }
+            Ok(())
+        })?;
+        write(&mut some);
+        if let Some(swapped) = &mut slam.mapper.swapped
+            && reader.has(tag::HOST_BLOCKS)
+        {
+            reader.blocks::<Error>(tag::HOST_BLOCKS, |key, words| match key {
+                Some(key) => swapped.put(key, words),
+                None => Ok(()),
+            })?;
+        }
+        let mut left = Left::default();
+        if reader.has(LEFT) {
+            reader.blocks::<Error>(LEFT, |key, words| {
+                left.keys.extend(key);
+                left.words.extend_from_slice(words);
+                Ok(())
+            })?;
+        }
+        slam.mapper.set_state(&mut state.mapper, left, kind.block_words());
+        slam.model.write_bytes(device, &reader.bytes(MODEL)?)?;
+        for (tag, list) in LISTS.iter().zip(&slam.lists) {
+            if let Some(list) = list {
+                list.write_bytes(device, &reader.bytes(*tag)?)?;
+            }
+        }
+        slam.trajectory = reader.trajectory()?;
+        let State { next_frame, fused_frames, to_recover, world_from_model, last_good, motion, learnt, .. } = state;
+        slam.next_frame = next_frame;
+        slam.age.frames = fused_frames;
+        slam.to_recover = to_recover;
+        slam.world_from_model = world_from_model;
+        slam.last_good = last_good;
+        slam.motion = motion;
+        slam.tracker.learn(&learnt);
+        Ok(slam)
+    }
+
+    /// Starts a new session in a saved map, at a pose in it. Its voxels' size and kind are the map's, to which the settings
+    /// must agree.
+    ///
+    /// # Errors
+    /// Where the file cannot be read, the settings disagree with it, or the device has no room for it.
+    pub fn in_map(
+        device: &Device,
+        calibration: &itm_core::Calibration,
+        settings: &Settings,
+        path: &Path,
+        world_from_camera: &Se3,
+    ) -> Result<Self, Error> {
+        let mut reader = MapReader::open(path)?;
+        let mut slam = Self::new(device, calibration, settings, Poses::Tracked)?;
+        let (layout, header) = (*slam.mapper.map.layout(), reader.header());
+        let frames = header.counts.frames;
+        let differs = |what, map: String, settings: String| {
+            if map == settings {
+                return Ok(());
+            }
+            Err(Error::OtherMap { path: path.to_path_buf(), what, map, settings })
+        };
+        differs("map.voxel_size_m", header.voxel_size_m.to_string(), layout.voxel_size_m.to_string())?;
+        differs("map.truncation_m", header.truncation_m.to_string(), layout.truncation_m.to_string())?;
+        differs("voxels", format!("{:?}", header.voxel_kind), format!("{:?}", layout.kind))?;
+        for section in [tag::BLOCKS, tag::HOST_BLOCKS, LEFT] {
+            if reader.has(section) {
+                slam.mapper.take_in(&mut reader, section)?;
+            }
+        }
+        // What the map shows was observed as often as its weights say.
+        slam.age.frames = frames;
+        slam.start_at(world_from_camera)?;
+        Ok(slam)
+    }
+}
