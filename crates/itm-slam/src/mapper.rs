@@ -110,9 +110,11 @@ struct WaitingState {
 
 impl Waiting {
     fn read(&mut self, device: &Device) -> Result<(&FrameRecord, &mut Moved), Error> {
-        if let Found::OnDevice(record, motion) = std::mem::replace(&mut self.found, Found::nothing()) {
-            self.found = Found::Read(record.read(device)?, motion.read(device)?);
-        }
+        let found = match std::mem::replace(&mut self.found, Found::nothing()) {
+            Found::OnDevice(record, motion) => Found::Read(record.read(device)?, motion.read(device)?),
+            read @ Found::Read(..) => read,
+        };
+        self.found = found;
         match &mut self.found {
             Found::Read(record, moved) => Ok((record, moved)),
             Found::OnDevice(..) => unreachable!("it was just read"),
