@@ -45,6 +45,8 @@ pub(crate) fn of(slam: &mut Slam, mesh: Option<&Mesh>) -> Vec<Picture> {
             Shading::Grey => "shape",
             Shading::Normals => "normals",
             Shading::Colour => "colour",
+            Shading::Depth => "depth",
+            Shading::Confidence => "confidence",
         };
         let image = slam.render(&camera, &pose, depth_m, shading).map_err(|error| error.to_string());
         let png = image.and_then(|image| encode(image.size(), image.data().as_flattened()));

@@ -19,14 +19,14 @@ pub(crate) fn bounds(positions: &[Vec3]) -> Option<(Vec3, Vec3)> {
     Some(positions.iter().fold((first, first), |(lo, hi), p| (lo.min(*p), hi.max(*p))))
 }
 
-/// Whether there are none or as many of each attribute (normals, colours, weights) as vertices, and whether all positions
+/// Whether there are none or as many of each attribute (normals, colours, weights, confidences) as vertices, and whether all positions
 /// are finite.
-pub(crate) fn check_vertices(positions: &[Vec3], counts: [usize; 3]) -> Result<(), GeometryError> {
+pub(crate) fn check_vertices(positions: &[Vec3], counts: [usize; 4]) -> Result<(), GeometryError> {
     let vertices = positions.len();
-    for (name, count) in ["normals", "colours", "weights"].into_iter().zip(counts) {
+    for (name, count) in ["normals", "colours", "weights", "confidences"].into_iter().zip(counts) {
         if count != 0 && count != vertices {
             return Err(GeometryError {
-                expected: "none or as many normals, colours and weights as vertices",
+                expected: "none or as many normals, colours, weights and confidences as vertices",
                 found: format!("{count} {name} for {vertices} vertices"),
             });
         }

@@ -24,6 +24,9 @@ pub struct Mesh {
     /// Smallest integration weight of the voxels that a vertex was made from (number of observations, up to the
     /// map's largest weight), one a vertex; empty where unknown.
     pub weights: Vec<u16>,
+    /// Smaller confidence of the two voxels that a vertex was made from: how many of the sensor's best observations would tell
+    /// as much. One a vertex; empty where the map keeps none.
+    pub confidences: Vec<f32>,
     /// Vertex indices of each triangle.
     pub triangles: Vec<[u32; 3]>,
 }
@@ -45,7 +48,7 @@ impl Mesh {
     /// Attributes that are neither none nor as many as vertices, a position that is not finite, or a triangle of a
     /// vertex that is not there.
     pub fn check(&self) -> Result<(), GeometryError> {
-        let counts = [self.normals.len(), self.colours.len(), self.weights.len()];
+        let counts = [self.normals.len(), self.colours.len(), self.weights.len(), self.confidences.len()];
         geometry::check_vertices(&self.positions, counts)?;
         let vertices = self.positions.len();
         let Some(i) = self.triangles.iter().position(|t| t.iter().any(|&v| v as usize >= vertices)) else {
@@ -84,6 +87,7 @@ impl Mesh {
         keep_used(&mut self.normals, &used);
         keep_used(&mut self.colours, &used);
         keep_used(&mut self.weights, &used);
+        keep_used(&mut self.confidences, &used);
         // Each used vertex goes down by the number of unused ones before it.
         let counts = used.iter().scan(0, |before, &used| {
             let moved_to = *before;
@@ -131,6 +135,7 @@ pub(crate) mod tests {
         mesh.normals.push((position + Vec3::ONE).normalize());
         mesh.colours.push([x, y, z]);
         mesh.weights.push(u16::from(x) << 8 | u16::from(y));
+        mesh.confidences.push(position.x + 0.5 * position.y);
     }
 
     pub(crate) fn assert_in_step(mesh: &Mesh) {
@@ -169,7 +174,12 @@ pub(crate) mod tests {
         let bare = Mesh { positions: grid(3).positions, triangles: grid(3).triangles, ..Mesh::default() };
         let cropped = bare.crop(Vec3::ZERO, Vec3::ONE);
         assert_eq!((cropped.positions.len(), cropped.triangles.len()), (4, 2));
-        assert!(cropped.normals.is_empty() && cropped.colours.is_empty() && cropped.weights.is_empty());
+        assert!(
+            cropped.normals.is_empty()
+                && cropped.colours.is_empty()
+                && cropped.weights.is_empty()
+                && cropped.confidences.is_empty()
+        );
     }
 
     proptest! {

@@ -14,9 +14,10 @@ pub struct PointCloud {
     pub normals: Vec<Vec3>,
     /// Red, green, blue, one a point; empty where the map holds no colour.
     pub colours: Vec<[u8; 3]>,
-    /// How well a point is known, one a point, the more the better: its integration weight (number of observations) where
-    /// it was made from voxels, its confidence where it is a surfel. Empty where unknown.
+    /// Integration weight (number of observations), one a point; empty where unknown.
     pub weights: Vec<f32>,
+    /// How many of the sensor's best observations would tell as much of a point, one a point; empty where unknown.
+    pub confidences: Vec<f32>,
 }
 
 impl PointCloud {
@@ -33,9 +34,11 @@ impl PointCloud {
     /// Whether the cloud's parts fit together.
     ///
     /// # Errors
-    /// Attributes that are neither none nor as many as points, or a position, normal or weight that is not finite.
+    /// Attributes that are neither none nor as many as points, or a position, normal, weight or confidence that is not
+    /// finite.
     pub fn check(&self) -> Result<(), GeometryError> {
-        geometry::check_vertices(&self.positions, [self.normals.len(), self.colours.len(), self.weights.len()])?;
+        let counts = [self.normals.len(), self.colours.len(), self.weights.len(), self.confidences.len()];
+        geometry::check_vertices(&self.positions, counts)?;
         if let Some(i) = self.normals.iter().position(|n| !n.is_finite()) {
             let found = format!("vertex {i} with the normal {}", self.normals[i]);
             return Err(GeometryError { expected: "finite normals", found });
@@ -43,6 +46,10 @@ impl PointCloud {
         if let Some(i) = self.weights.iter().position(|w| !w.is_finite()) {
             let found = format!("vertex {i} with the weight {}", self.weights[i]);
             return Err(GeometryError { expected: "finite weights", found });
+        }
+        if let Some(i) = self.confidences.iter().position(|c| !c.is_finite()) {
+            let found = format!("vertex {i} with the confidence {}", self.confidences[i]);
+            return Err(GeometryError { expected: "finite confidences", found });
         }
         Ok(())
     }
@@ -56,6 +63,7 @@ impl From<Mesh> for PointCloud {
             normals: mesh.normals,
             colours: mesh.colours,
             weights: mesh.weights.into_iter().map(f32::from).collect(),
+            confidences: mesh.confidences,
         }
     }
 }
@@ -70,6 +78,7 @@ mod tests {
             normals: vec![Vec3::Z; 3],
             colours: vec![[1, 2, 3], [4, 5, 6], [7, 8, 9]],
             weights: vec![0, 300, u16::MAX],
+            confidences: vec![0.0, 1.5, 20.0],
             triangles: vec![[0, 1, 2]],
         }
     }
@@ -79,6 +88,7 @@ mod tests {
         let cloud = PointCloud::from(mesh());
         assert_eq!((&cloud.positions, &cloud.normals), (&mesh().positions, &mesh().normals));
         assert_eq!((&cloud.colours, &cloud.weights[..]), (&mesh().colours, &[0.0, 300.0, 65535.0][..]));
+        assert_eq!(cloud.confidences, mesh().confidences);
         assert_eq!(cloud.bounds(), Some((Vec3::new(0.0, -2.0, 0.0), Vec3::new(1.0, 0.0, 3.0))));
         assert!(cloud.check().is_ok() && !cloud.is_empty());
         assert!(PointCloud::from(Mesh::default()).is_empty());
@@ -92,6 +102,8 @@ mod tests {
         assert!(error.contains("found 2 weights for 3 vertices"), "{error}");
         let error = refused(PointCloud { weights: vec![1.0, f32::INFINITY, 0.0], ..cloud() });
         assert!(error.contains("vertex 1 with the weight inf"), "{error}");
+        let error = refused(PointCloud { confidences: vec![1.0, 2.0, f32::NAN], ..cloud() });
+        assert!(error.contains("vertex 2 with the confidence NaN"), "{error}");
         let error = refused(PointCloud { normals: vec![Vec3::X, Vec3::X, Vec3::NAN], ..cloud() });
         assert!(error.contains("vertex 2 with the normal"), "{error}");
         let error = refused(PointCloud { positions: vec![Vec3::NAN; 3], ..cloud() });

@@ -38,7 +38,8 @@ fn main() -> Result<(), Error> {
         blocks.push((BlockKey { submap: 0, position }, words));
     }
     for colour in [false, true] {
-        let layout = MapLayout { voxel_size_m: 0.005, truncation_m: 0.025, kind: VoxelKind { colour, ..VoxelKind::default() } };
+        let layout =
+            MapLayout { voxel_size_m: 0.005, truncation_m: 0.025, kind: VoxelKind { colour, ..VoxelKind::default() } };
         let mut map = BlockMap::new(&device, layout, blocks.len() as u32)?;
         let planes = layout.kind.words();
         let host: Vec<_> =

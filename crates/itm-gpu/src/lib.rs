@@ -25,6 +25,7 @@ mod recorder;
 pub mod reference;
 pub mod render;
 mod scan;
+mod scratch;
 mod sums;
 pub mod view;
 pub mod visible;

@@ -426,6 +426,10 @@ impl BlockMap {
         self.grid_size.x * self.grid_size.y * self.grid_size.z
     }
 
+    pub(crate) fn device(&self) -> &Device {
+        &self.device
+    }
+
     pub(crate) fn page_shift(&self) -> u32 {
         self.page_shift
     }

@@ -114,8 +114,8 @@ impl Raycast {
         let pages = map.distances();
         let features = [map.distance_features(), page_features(pages.len())].concat();
         let of_kind = &self.variants[usize::from(map.layout().kind.distance == DistanceKind::F32)];
-        let pipeline = of_kind[pages.len() - 1]
-            .get_or_init(|| Pipeline::new(&self.device, &raycast::PASS, &features, &[]));
+        let pipeline =
+            of_kind[pages.len() - 1].get_or_init(|| Pipeline::new(&self.device, &raycast::PASS, &features, &[]));
         let bindings = raycast::Bindings {
             params: raycast::Params {
                 camera: camera_params(&image.camera, depth_range_m),

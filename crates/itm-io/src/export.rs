@@ -39,6 +39,7 @@ pub(crate) struct Vertices<'a> {
     pub(crate) normals: &'a [Vec3],
     pub(crate) colours: &'a [[u8; 3]],
     pub(crate) weights: Weights<'a>,
+    pub(crate) confidences: &'a [f32],
 }
 
 /// Weights as whole numbers of observations, or as reals.
@@ -59,10 +60,14 @@ impl Vertices<'_> {
             writeln!(out, "property uchar red\nproperty uchar green\nproperty uchar blue")?;
         }
         match self.weights {
-            Weights::Counts([]) | Weights::Reals([]) => Ok(()),
-            Weights::Counts(_) => writeln!(out, "property ushort weight"),
-            Weights::Reals(_) => writeln!(out, "property float weight"),
+            Weights::Counts([]) | Weights::Reals([]) => {}
+            Weights::Counts(_) => writeln!(out, "property ushort weight")?,
+            Weights::Reals(_) => writeln!(out, "property float weight")?,
         }
+        if !self.confidences.is_empty() {
+            writeln!(out, "property float confidence")?;
+        }
+        Ok(())
     }
 
     /// The records that the header describes.
@@ -81,6 +86,7 @@ impl Vertices<'_> {
                 Weights::Counts(counts) => record.extend(counts.get(i).into_iter().flat_map(|w| w.to_le_bytes())),
                 Weights::Reals(reals) => record.extend(reals.get(i).into_iter().flat_map(|w| w.to_le_bytes())),
             }
+            record.extend(self.confidences.get(i).into_iter().flat_map(|c| c.to_le_bytes()));
             out.write_all(&record)?;
         }
         Ok(())

@@ -2,7 +2,7 @@
 //!
 //! | format | holds besides positions and triangles |
 //! | --- | --- |
-//! | PLY (binary) | normals, colours, integration weights (`weight`) |
+//! | PLY (binary) | normals, colours, integration weights (`weight`), confidences (`confidence`) |
 //! | OBJ | normals, colours (`v x y z r g b`, as MeshLab and others read them) |
 //! | STL (binary) | a normal for each triangle |
 //! | GLB (glTF 2.0) | normals, colours |
@@ -58,6 +58,7 @@ fn encode_ply(out: &mut dyn Write, mesh: &Mesh, up: UpAxis) -> io::Result<()> {
         normals: &mesh.normals,
         colours: &mesh.colours,
         weights: Weights::Counts(&mesh.weights),
+        confidences: &mesh.confidences,
     };
     vertices.write_ply_header(out)?;
     writeln!(out, "element face {}\nproperty list uchar uint vertex_indices\nend_header", mesh.triangles.len())?;
@@ -292,6 +293,9 @@ mod tests {
             if let Some(Property::UShort(weight)) = v.get("weight") {
                 mesh.weights.push(*weight);
             }
+            if let Some(Property::Float(confidence)) = v.get("confidence") {
+                mesh.confidences.push(*confidence);
+            }
         }
         for f in &elements["face"] {
             let Property::ListUInt(ref indices) = f["vertex_indices"] else { panic!("{f:?}") };
@@ -363,26 +367,29 @@ mod tests {
             normals: axes.to_vec(),
             colours: vec![[0, 1, 2], [3, 12, 13], [60, 128, 200], [255, 254, 253], [9, 90, 0], [11, 22, 33]],
             weights: vec![0, 1, 255, 256, 10_000, u16::MAX],
+            confidences: vec![0.0, 0.0625, 1.0, 2.5, 80.0, 4095.9375],
             triangles: vec![[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]],
         }
     }
 
     fn meshes() -> impl Strategy<Value = Mesh> {
         let vector = || prop::array::uniform3(-1e3..1e3f32).prop_map(Vec3::from);
-        (1..20usize, any::<[bool; 3]>()).prop_flat_map(move |(vertices, [normals, colours, weights])| {
+        (1..20usize, any::<[bool; 4]>()).prop_flat_map(move |(vertices, [normals, colours, weights, confidences])| {
             let of = move |present: bool| if present { vertices } else { 0 };
             (
                 prop::collection::vec(vector(), vertices),
                 prop::collection::vec(vector().prop_map(|v| v.normalize_or(Vec3::X)), of(normals)),
                 prop::collection::vec(any::<[u8; 3]>(), of(colours)),
                 prop::collection::vec(any::<u16>(), of(weights)),
+                prop::collection::vec(0.0..4096.0f32, of(confidences)),
                 prop::collection::vec(prop::array::uniform3(0..vertices as u32), 0..30),
             )
-                .prop_map(|(positions, normals, colours, weights, triangles)| Mesh {
+                .prop_map(|(positions, normals, colours, weights, confidences, triangles)| Mesh {
                     positions,
                     normals,
                     colours,
                     weights,
+                    confidences,
                     triangles,
                 })
         })

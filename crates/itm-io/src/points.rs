@@ -2,12 +2,13 @@
 //!
 //! | format | holds besides positions |
 //! | --- | --- |
-//! | PLY (binary) | normals, colours, weights (`weight`) |
-//! | PCD (version 0.7, binary) | normals, colours (`rgb`, packed as PCL does), weights (`weight`) |
+//! | PLY (binary) | normals, colours, weights (`weight`), confidences (`confidence`) |
+//! | PCD (version 0.7, binary) | normals, colours (`rgb`, packed as PCL does), weights (`weight`), confidences (`confidence`) |
 //! | XYZ (text) | normals, colours |
 //!
 //! All are in metres. An XYZ file has no header: each line is a point, `x y z`, then `nx ny nz` where there are normals,
-//! then `r g b` as whole numbers from 0 to 255 where there are colours, with a space between. It has no place for weights.
+//! then `r g b` as whole numbers from 0 to 255 where there are colours, with a space between. It has no place for weights
+//! and confidences.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -46,6 +47,7 @@ fn encode_ply(out: &mut dyn Write, cloud: &PointCloud, up: UpAxis) -> io::Result
         normals: &cloud.normals,
         colours: &cloud.colours,
         weights: Weights::Reals(&cloud.weights),
+        confidences: &cloud.confidences,
     };
     points.write_ply_header(out)?;
     writeln!(out, "end_header")?;
@@ -63,6 +65,9 @@ fn encode_pcd(out: &mut dyn Write, cloud: &PointCloud, up: UpAxis) -> io::Result
     }
     if !cloud.weights.is_empty() {
         fields.push("weight");
+    }
+    if !cloud.confidences.is_empty() {
+        fields.push("confidence");
     }
     let points = cloud.positions.len();
     writeln!(out, "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS {}", fields.join(" "))?;
@@ -82,8 +87,8 @@ fn encode_pcd(out: &mut dyn Write, cloud: &PointCloud, up: UpAxis) -> io::Result
             // PCL declares a float, and reads its bits as 0x00rrggbb.
             record.extend_from_slice(&[b, g, r, 0]);
         }
-        if let Some(weight) = cloud.weights.get(i) {
-            record.extend_from_slice(&weight.to_le_bytes());
+        for of_all in [&cloud.weights, &cloud.confidences] {
+            record.extend(of_all.get(i).into_iter().flat_map(|value| value.to_le_bytes()));
         }
         out.write_all(&record)?;
     }
@@ -124,6 +129,9 @@ mod tests {
             push_ply_vertex(v, &mut cloud.positions, &mut cloud.normals, &mut cloud.colours);
             if let Some(Property::Float(weight)) = v.get("weight") {
                 cloud.weights.push(*weight);
+            }
+            if let Some(Property::Float(confidence)) = v.get("confidence") {
+                cloud.confidences.push(*confidence);
             }
         }
         cloud
@@ -168,6 +176,7 @@ mod tests {
             cloud.normals.extend(vector(["normal_x", "normal_y", "normal_z"]));
             cloud.colours.extend(bits("rgb").map(|c| [(c >> 16) as u8, (c >> 8) as u8, c as u8]));
             cloud.weights.extend(float("weight"));
+            cloud.confidences.extend(float("confidence"));
         }
         cloud
     }
@@ -199,15 +208,22 @@ mod tests {
 
     fn clouds() -> impl Strategy<Value = PointCloud> {
         let vector = || prop::array::uniform3(-1e3..1e3f32).prop_map(Vec3::from);
-        (0..20usize, any::<[bool; 3]>()).prop_flat_map(move |(points, [normals, colours, weights])| {
+        (0..20usize, any::<[bool; 4]>()).prop_flat_map(move |(points, [normals, colours, weights, confidences])| {
             let of = move |present: bool| if present { points } else { 0 };
             let parts = (
                 prop::collection::vec(vector(), points),
                 prop::collection::vec(vector().prop_map(|v| v.normalize_or(Vec3::X)), of(normals)),
                 prop::collection::vec(any::<[u8; 3]>(), of(colours)),
                 prop::collection::vec(0.0..1e5f32, of(weights)),
+                prop::collection::vec(0.0..1e3f32, of(confidences)),
             );
-            parts.prop_map(|(positions, normals, colours, weights)| PointCloud { positions, normals, colours, weights })
+            parts.prop_map(|(positions, normals, colours, weights, confidences)| PointCloud {
+                positions,
+                normals,
+                colours,
+                weights,
+                confidences,
+            })
         })
     }
 
@@ -217,6 +233,7 @@ mod tests {
             normals: vec![Vec3::X, Vec3::new(0.0, 0.6, -0.8)],
             colours: vec![[1, 128, 255], [255, 254, 0]],
             weights: vec![0.5, 10_000.0],
+            confidences: vec![0.25, 12.0],
         }
     }
 
@@ -237,7 +254,7 @@ mod tests {
             prop_assert_eq!(read_ply(&written("c.ply")), expected.clone());
             prop_assert_eq!(read_pcd(&written("c.PCD")), expected.clone());
             let text = read_xyz(&written("c.xyz"), !cloud.normals.is_empty());
-            prop_assert_eq!(text, PointCloud { weights: Vec::new(), ..expected });
+            prop_assert_eq!(text, PointCloud { weights: Vec::new(), confidences: Vec::new(), ..expected });
             prop_assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3);
         }
     }
@@ -253,8 +270,9 @@ mod tests {
         let path = folder.path().join("c.pcd");
         write(&path, &cloud(), UpAxis::ZUp).unwrap();
         let header = "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n\
-            FIELDS x y z normal_x normal_y normal_z rgb weight\nSIZE 4 4 4 4 4 4 4 4\nTYPE F F F F F F F F\n\
-            COUNT 1 1 1 1 1 1 1 1\nWIDTH 2\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA binary\n";
+            FIELDS x y z normal_x normal_y normal_z rgb weight confidence\n\
+            SIZE 4 4 4 4 4 4 4 4 4\nTYPE F F F F F F F F F\n\
+            COUNT 1 1 1 1 1 1 1 1 1\nWIDTH 2\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA binary\n";
         let bytes = fs::read(&path).unwrap();
         assert_eq!(bytes[..header.len()], *header.as_bytes());
         let first: [f32; 3] = floats(&bytes[header.len()..]);

@@ -9,7 +9,7 @@ use itm_core::{
 use itm_gpu::evaluate::Evaluator;
 use itm_gpu::mesh::Extract;
 use itm_gpu::photometric::PointList;
-use itm_gpu::render::{Render, Shading};
+use itm_gpu::render::{Render, Scale, Shading};
 use itm_gpu::view::{ViewOptions, ViewStage};
 use itm_gpu::{Device, RaycastImage, Recorder, StageTimes, View};
 
@@ -81,8 +81,7 @@ impl Slam {
             bilateral_passes: settings.view.bilateral.passes,
             levels: needs.levels,
             vertices: false,
-            observation_weights: settings.map.observation_weight == ObservationWeight::Noise
-                || settings.map.confidence,
+            observation_weights: settings.map.observation_weight == ObservationWeight::Noise || settings.map.confidence,
             colour_levels: needs.lists.iter().flatten().map(|range| range.end).max().unwrap_or(1),
         };
         let model = RaycastImage::new(device, calibration.depth)?;
@@ -409,7 +408,8 @@ impl Slam {
         shading: Shading,
     ) -> Result<ColourImage, Error> {
         let image = self.mapper.cast(camera, world_from_camera, max_depth_m)?;
-        Ok(self.render.run(&self.mapper.map, &image, world_from_camera, shading)?)
+        let scale = Scale { depth_m: [0.0, max_depth_m], confidence: crate::views::full_confidence(&self.settings) };
+        Ok(self.render.run(&self.mapper.map, &image, world_from_camera, shading, &scale)?)
     }
 }
 
