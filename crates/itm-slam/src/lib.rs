@@ -19,6 +19,7 @@
 //! # }
 //! ```
 
+mod decimate;
 mod error;
 mod frame_result;
 mod mapper;
@@ -26,6 +27,7 @@ mod session;
 mod slam;
 pub mod tracking;
 
+pub use decimate::{DecimateError, decimate};
 pub use error::Error;
 pub use frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
 pub use session::{Event, Session, SessionOptions, Summary};
