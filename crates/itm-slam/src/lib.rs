@@ -23,6 +23,7 @@
 
 mod chunked_mesh;
 mod chunks;
+mod decimate;
 mod error;
 mod frame_result;
 mod mapper;
@@ -34,6 +35,7 @@ pub mod tracking;
 mod views;
 
 pub use chunked_mesh::{MeshOptions, mesh_in_chunks};
+pub use decimate::{DecimateError, decimate};
 pub use error::Error;
 pub use frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
 pub use saved::SavedMap;
