@@ -55,7 +55,7 @@ pub(crate) fn of(slam: &mut Slam, mesh: Option<&Mesh>) -> Vec<Picture> {
     views.into_iter().map(&mut painted).collect()
 }
 
-fn encode((width, height): (u32, u32), rgba: &[u8]) -> Result<Vec<u8>, String> {
+pub(crate) fn encode((width, height): (u32, u32), rgba: &[u8]) -> Result<Vec<u8>, String> {
     let mut png = Vec::new();
     let encoder = PngEncoder::new(&mut png);
     encoder.write_image(rgba, width, height, ExtendedColorType::Rgba8).map_err(|error| error.to_string())?;

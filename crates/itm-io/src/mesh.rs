@@ -38,17 +38,30 @@ pub struct MeshOptions {
 /// An extension that is none of these, a mesh whose parts do not fit together or whose positions are not finite, a mesh
 /// too large for its format, or a file that cannot be written.
 pub fn write(path: &Path, mesh: &Mesh, options: &MeshOptions) -> Result<(), Error> {
-    let extension = export::extension(path);
-    let encode: fn(&mut dyn Write, &Mesh, UpAxis) -> io::Result<()> = match extension.as_str() {
-        "ply" => encode_ply,
-        "obj" => encode_obj,
-        "stl" => encode_stl,
-        "glb" => encode_glb,
-        _ => return Err(Error::export_format(path, "mesh", ".ply, .obj, .stl or .glb")),
-    };
-    let up = if extension == "glb" { UpAxis::YUp } else { options.up.unwrap_or_default() };
+    let encode = encoder(path)?;
+    let up = if export::extension(path) == "glb" { UpAxis::YUp } else { options.up.unwrap_or_default() };
     mesh.check().map_err(|reason| Error::Geometry { path: path.to_path_buf(), reason })?;
     write_whole(path, |out| encode(out, mesh, up)).map_err(|e| Error::io("write", path, e))
+}
+
+/// Whether the path's extension names a format, so that a name that cannot be meant is refused before a mesh is made.
+///
+/// # Errors
+/// Where it does not.
+pub fn check_name(path: &Path) -> Result<(), Error> {
+    encoder(path).map(|_| ())
+}
+
+type Encoder = fn(&mut dyn Write, &Mesh, UpAxis) -> io::Result<()>;
+
+fn encoder(path: &Path) -> Result<Encoder, Error> {
+    match export::extension(path).as_str() {
+        "ply" => Ok(encode_ply),
+        "obj" => Ok(encode_obj),
+        "stl" => Ok(encode_stl),
+        "glb" => Ok(encode_glb),
+        _ => Err(Error::export_format(path, "mesh", ".ply, .obj, .stl or .glb")),
+    }
 }
 
 /// The Polygon File Format, binary, little-endian.

@@ -30,14 +30,28 @@ pub use crate::export::UpAxis;
 /// An extension that is none of these, a cloud whose parts do not fit together or are not finite, or a file that cannot be
 /// written.
 pub fn write(path: &Path, cloud: &PointCloud, up: UpAxis) -> Result<(), Error> {
-    let encode: fn(&mut dyn Write, &PointCloud, UpAxis) -> io::Result<()> = match export::extension(path).as_str() {
-        "ply" => encode_ply,
-        "pcd" => encode_pcd,
-        "xyz" => encode_xyz,
-        _ => return Err(Error::export_format(path, "point cloud", ".ply, .pcd or .xyz")),
-    };
+    let encode = encoder(path)?;
     cloud.check().map_err(|reason| Error::Geometry { path: path.to_path_buf(), reason })?;
     write_whole(path, |out| encode(out, cloud, up)).map_err(|e| Error::io("write", path, e))
+}
+
+/// Whether the path's extension names a format, so that a name that cannot be meant is refused before a cloud is made.
+///
+/// # Errors
+/// Where it does not.
+pub fn check_name(path: &Path) -> Result<(), Error> {
+    encoder(path).map(|_| ())
+}
+
+type Encoder = fn(&mut dyn Write, &PointCloud, UpAxis) -> io::Result<()>;
+
+fn encoder(path: &Path) -> Result<Encoder, Error> {
+    match export::extension(path).as_str() {
+        "ply" => Ok(encode_ply),
+        "pcd" => Ok(encode_pcd),
+        "xyz" => Ok(encode_xyz),
+        _ => Err(Error::export_format(path, "point cloud", ".ply, .pcd or .xyz")),
+    }
 }
 
 /// The Polygon File Format, binary, little-endian.
