@@ -126,7 +126,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
             })
             .collect(),
     };
-    if arguments.json { console::print_json(&info)? } else { console::print(&info)? }
+    if arguments.json {
+        console::print_json(&info)?
+    } else {
+        console::print(&info)?
+    }
     Ok(0)
 }
 
@@ -136,7 +140,12 @@ impl fmt::Display for Info {
         let (major, minor) = self.format_version;
         writeln!(f, "{}: map format {major}.{minor} by {}, undamaged", self.file.display(), self.generator)?;
         let camera = |c: &Intrinsics| format!("{}x{}, focal lengths {:.1} and {:.1}", c.width, c.height, c.fx, c.fy);
-        writeln!(f, "cameras     depth {}; colour {}", camera(&self.calibration.depth), camera(&self.calibration.colour))?;
+        writeln!(
+            f,
+            "cameras     depth {}; colour {}",
+            camera(&self.calibration.depth),
+            camera(&self.calibration.colour)
+        )?;
         let distance = match self.voxel_kind.distance {
             DistanceKind::I16 => "16-bit distances",
             DistanceKind::F32 => "float distances",
@@ -147,7 +156,10 @@ impl fmt::Display for Info {
         writeln!(f, "voxels      {size_mm} mm, truncated at {band_mm} mm: {distance}{colour}{confidence}")?;
         let Self { blocks, device_blocks, host_blocks, .. } = self;
         let in_memory = mib(self.voxel_bytes);
-        write!(f, "blocks      {blocks} ({device_blocks} from the device, {host_blocks} from the host): {in_memory:.1} MiB")?;
+        write!(
+            f,
+            "blocks      {blocks} ({device_blocks} from the device, {host_blocks} from the host): {in_memory:.1} MiB"
+        )?;
         writeln!(f, "{}", if self.submaps > 1 { format!(", in {} submaps", self.submaps) } else { String::new() })?;
         if let Some([[ax, ay, az], [bx, by, bz]]) = self.bounds_m {
             writeln!(f, "bounds      {ax:.2}, {ay:.2}, {az:.2} to {bx:.2}, {by:.2}, {bz:.2} m")?;

@@ -11,9 +11,9 @@ use itm_io::mesh::{self as mesh_file, UpAxis};
 use itm_io::points as point_file;
 use itm_slam::{MeshOptions, decimate};
 
+use crate::console;
 use crate::maps::{self, MIB};
 use crate::run::UpArgument;
-use crate::console;
 
 /// Mesh a saved map
 ///
@@ -63,7 +63,11 @@ pub(crate) struct Arguments {
 
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let out = &arguments.out;
-    if arguments.points { point_file::check_name(out)? } else { mesh_file::check_name(out)? }
+    if arguments.points {
+        point_file::check_name(out)?
+    } else {
+        mesh_file::check_name(out)?
+    }
     maps::check_folder_of(out)?;
     let mut map = maps::open(&arguments.map, arguments.memory, arguments.quiet)?;
     let device = maps::device(arguments.device.as_deref(), &map)?;
@@ -78,7 +82,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let mut mesh = mesh?;
     let seconds = started.elapsed().as_secs_f64();
     if mesh.is_empty() {
-        bail!("the map '{}' has no surface where voxels were observed {} times", arguments.map.display(), arguments.min_weight.max(1));
+        bail!(
+            "the map '{}' has no surface where voxels were observed {} times",
+            arguments.map.display(),
+            arguments.min_weight.max(1)
+        );
     }
     let found = mesh.triangles.len();
     if let Some([min, max]) = arguments.crop {

@@ -244,8 +244,10 @@ fn pictures_show_the_balls_where_they_are() {
     assert_eq!((picture.dimensions(), picture[(99, 74)].0[3]), ((200, 150), 255));
 
     assert!(render("views", &["--every", "2", "--size", "80x60", "--kind", "normals"]).is_none());
-    let mut names: Vec<_> =
-        fs::read_dir(folder.path().join("views")).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    let mut names: Vec<_> = fs::read_dir(folder.path().join("views"))
+        .unwrap()
+        .map(|e| e.unwrap().file_name().into_string().unwrap())
+        .collect();
     names.sort();
     assert_eq!(names, ["000000.png", "000002.png", "000004.png"]);
     fs::write(folder.path().join("t.txt"), "1.0 0 0 0.2 0 0 0 1\n").unwrap();

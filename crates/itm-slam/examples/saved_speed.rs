@@ -58,7 +58,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let start = Instant::now();
         let mut map = SavedMap::open(&path, budget, &mut |_, _| ())?;
         let voxels = mib(map.blocks() as u64 * kind.block_bytes());
-        println!("{} blocks, {voxels:.0} MiB, opened in {:.2?} with {:.0} MiB", map.blocks(), start.elapsed(), mib(budget));
+        println!(
+            "{} blocks, {voxels:.0} MiB, opened in {:.2?} with {:.0} MiB",
+            map.blocks(),
+            start.elapsed(),
+            mib(budget)
+        );
         for max_blocks in [u32::MAX, 16_384, 2048] {
             let start = Instant::now();
             let mesh = map.mesh(&device, &MeshOptions { max_blocks, ..MeshOptions::default() }, &mut |_, _| ())?;
@@ -77,7 +82,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             views.look(&mut map, &camera, &pose, 4.0)?;
             let picture = views.picture(Shading::Grey, &Scale::default())?;
             let share = picture.data().iter().filter(|p| p[3] > 0).count() as f64 / camera.pixels() as f64;
-            println!("a view of {} blocks in {:.0?}, {:.0} % of it surface", views.blocks(), start.elapsed(), 100.0 * share);
+            println!(
+                "a view of {} blocks in {:.0?}, {:.0} % of it surface",
+                views.blocks(),
+                start.elapsed(),
+                100.0 * share
+            );
         }
     }
     std::fs::remove_file(&path)?;
