@@ -116,7 +116,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         },
         trajectory_length_m: steps
             .map(|w| w[0].world_from_camera.translation.distance(w[1].world_from_camera.translation))
-            .sum(),
+            .fold(0.0, |sum, step| sum + step),
         sections: reader
             .sections()
             .map(|s| Section {

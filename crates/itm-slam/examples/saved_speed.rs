@@ -42,7 +42,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
             let at = |i: i32| (position * 8 + IVec3::new(i & 7, i >> 3 & 7, i >> 6)).as_vec3();
             // Noise in the lowest bits, as measurements leave it.
-            let noise = |i: i32| ((i.wrapping_mul(0x9e37_79b) ^ x ^ (z << 7)) & 0xff) as f32 * 2e-5;
+            let noise = |i: i32| ((i.wrapping_mul(40_503) ^ x ^ (z << 7)) & 0xff) as f32 * 2e-5;
             let distances = (0..512).map(|i| DistanceVoxel::new(height(at(i)) / BAND_VOXELS + noise(i), 9).0);
             let colour = |i: i32| ColourVoxel::new([(x * 5) as u8, (z * 3) as u8, (i >> 2) as u8], 9).0;
             let words: Vec<u32> = distances.chain((0..512).map(colour)).collect();
