@@ -20,8 +20,8 @@ struct Params {
 @group(0) @binding(4) var<storage, read> padded: array<Voxel>;
 @if(colour) @group(0) @binding(5) var<storage, read> padded_colours: array<u32>;
 @if(confidence) @group(0) @binding(7) var<storage, read> padded_confidences: array<f32>;
-// Eight words a vertex: position (world, metres), colour (red, green, blue from the lowest byte up), normal, and in one word
-// weight (low half) and confidence (high half, in sixteenths, which are the least observations).
+// Eight words a vertex: position (world, metres), colour (red, green, blue from the lowest byte up) with the edge in the highest
+// byte (axis, and from bit 2 on the lowest three bits of where it starts along that axis), normal, and in one word weight (low half) and confidence (high half, in sixteenths, which are the least observations).
 @group(0) @binding(6) var<storage, read_write> vertices: array<u32>;
 
 fn voxel_at(block: u32, voxel: vec3<i32>) -> Voxel {
@@ -102,7 +102,7 @@ fn write_vertex(block: u32, corner: vec3<i32>, bit: u32, out: u32) {
     vertices[8u * out + 2u] = bitcast<u32>(position.z);
     var colour = 0u;
     @if(colour) { colour = mixed_colour(block, a, b, t); }
-    vertices[8u * out + 3u] = colour;
+    vertices[8u * out + 3u] = colour | ((axis | (u32(dot(a, along)) << 2u)) << 24u);
     vertices[8u * out + 4u] = bitcast<u32>(normal.x);
     vertices[8u * out + 5u] = bitcast<u32>(normal.y);
     vertices[8u * out + 6u] = bitcast<u32>(normal.z);

@@ -5,9 +5,13 @@
 mod console;
 mod devices;
 mod eval;
+mod info;
+mod maps;
+mod mesh;
 mod mesh_error;
 mod pictures;
 mod plot;
+mod render;
 mod report;
 mod run;
 mod synth;
@@ -32,6 +36,9 @@ struct Arguments {
 enum Command {
     Run(Box<run::Arguments>),
     Eval(eval::Arguments),
+    Info(info::Arguments),
+    Mesh(mesh::Arguments),
+    Render(render::Arguments),
     Synth(synth::Arguments),
     Devices(devices::Arguments),
 }
@@ -42,6 +49,8 @@ Examples:
   itm synth room                      make a recording with exact ground truth
   itm run room                        reconstruct it into out/room
   itm run rgbd_dataset_freiburg1_desk -o desk --set map.voxel_size_m=0.01
+  itm info room.itm                   what a saved map holds
+  itm mesh room.itm -o room.ply       its surface; for views of it, itm render
   itm eval desk/trajectory.txt rgbd_dataset_freiburg1_desk/groundtruth.txt";
 
 /// Runs the program with its command line, the program's own name first, and returns the exit status: 0 when all went
@@ -59,6 +68,9 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let result = match &arguments.command {
         Command::Run(arguments) => run::run(arguments),
         Command::Eval(arguments) => eval::run(arguments),
+        Command::Info(arguments) => info::run(arguments),
+        Command::Mesh(arguments) => mesh::run(arguments),
+        Command::Render(arguments) => render::run(arguments),
         Command::Synth(arguments) => synth::run(arguments),
         Command::Devices(arguments) => devices::run(arguments),
     };

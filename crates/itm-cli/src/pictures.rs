@@ -45,6 +45,8 @@ pub(crate) fn of(slam: &mut Slam, mesh: Option<&Mesh>) -> Vec<Picture> {
             Shading::Grey => "shape",
             Shading::Normals => "normals",
             Shading::Colour => "colour",
+            Shading::Depth => "depth",
+            Shading::Confidence => "confidence",
         };
         let image = slam.render(&camera, &pose, depth_m, shading).map_err(|error| error.to_string());
         let png = image.and_then(|image| encode(image.size(), image.data().as_flattened()));
@@ -53,7 +55,7 @@ pub(crate) fn of(slam: &mut Slam, mesh: Option<&Mesh>) -> Vec<Picture> {
     views.into_iter().map(&mut painted).collect()
 }
 
-fn encode((width, height): (u32, u32), rgba: &[u8]) -> Result<Vec<u8>, String> {
+pub(crate) fn encode((width, height): (u32, u32), rgba: &[u8]) -> Result<Vec<u8>, String> {
     let mut png = Vec::new();
     let encoder = PngEncoder::new(&mut png);
     encoder.write_image(rgba, width, height, ExtendedColorType::Rgba8).map_err(|error| error.to_string())?;

@@ -178,7 +178,7 @@ impl MeshFormat {
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum UpArgument {
+pub(crate) enum UpArgument {
     /// The camera's axes: x right, y down, z forward
     YDown,
     /// As in glTF and most viewers

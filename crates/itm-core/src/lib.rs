@@ -1,4 +1,5 @@
-//! The vocabulary of itm: poses, cameras, calibrations, images, frames, voxels, settings, trajectories and meshes.
+//! The vocabulary of itm: poses, cameras, calibrations, images, frames, voxels, settings, trajectories,
+//! meshes and point clouds.
 //!
 //! Nothing here opens a file, starts a thread or knows of a GPU.
 //!
@@ -14,8 +15,10 @@ mod camera;
 mod distortion;
 pub mod evaluation;
 mod frame;
+mod geometry;
 mod image;
 mod mesh;
+mod points;
 mod se3;
 mod settings;
 mod trajectory;
@@ -25,8 +28,10 @@ pub use calibration::{Calibration, CalibrationError, DepthConversion};
 pub use camera::Intrinsics;
 pub use distortion::Distortion;
 pub use frame::{AngularRate, DepthImage, Frame, Timestamp};
+pub use geometry::GeometryError;
 pub use image::{ColourImage, Image, ImageSizeError};
-pub use mesh::Mesh;
+pub use mesh::{DroppedComponents, Mesh};
+pub use points::PointCloud;
 pub use se3::{PoseError, Se3};
 pub use settings::{
     BilateralSettings, CompositePolicy, CompositeSettings, DenseSettings, DepthWeight, DeviceSettings,

@@ -25,6 +25,7 @@ mod recorder;
 pub mod reference;
 pub mod render;
 mod scan;
+mod scratch;
 mod state;
 mod sums;
 pub mod swap;

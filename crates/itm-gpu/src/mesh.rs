@@ -15,7 +15,7 @@ mod cases;
 use std::sync::OnceLock;
 
 use bytemuck::{Pod, Zeroable};
-use glam::Vec3;
+use glam::{IVec3, Vec3};
 use itm_core::Mesh;
 use itm_core::voxel::{DistanceKind, VoxelKind};
 use itm_shaders::mesh;
@@ -47,11 +47,50 @@ pub struct Options {
     /// Blocks that are meshed at a time; bounds the device memory that it takes. At least one, at most what the device
     /// can bind.
     pub blocks_per_range: u32,
+    /// Only cells of so many blocks count, by index from 0; the others only lend their voxels. So a part of a map can be
+    /// meshed with the blocks around it. By default all count.
+    pub cells_of_first: Option<u32>,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { min_weight: 1, blocks_per_range: 2048 }
+        Self { min_weight: 1, blocks_per_range: 2048, cells_of_first: None }
+    }
+}
+
+/// A mesh whose vertices know which edge of the voxels' lattice they lie on, so that parts can be joined there.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Part {
+    /// The mesh.
+    pub mesh: Mesh,
+    /// A byte each, as `mesh/vertices.wgsl` writes it.
+    edges: Vec<u8>,
+}
+
+/// An edge of the lattice of voxels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct LatticeEdge {
+    /// The voxel that it starts from.
+    pub voxel: IVec3,
+    /// 0, 1 or 2: along x, y or z.
+    pub axis: u8,
+}
+
+impl Part {
+    /// The edge of the lattice on which a vertex lies, in a map of such voxels. The same edge has the same vertex, to the bit,
+    /// wherever it is made from the same voxels.
+    ///
+    /// # Panics
+    /// Where there is no such vertex.
+    pub fn edge(&self, vertex: usize, voxel_size_m: f32) -> LatticeEdge {
+        let (position, byte) = (self.mesh.positions[vertex].as_dvec3() / f64::from(voxel_size_m), self.edges[vertex]);
+        let axis = usize::from(byte & 3);
+        // On the lattice but for rounding; along the axis the vertex may lie on either end, so the byte decides.
+        let mut voxel = position.round().as_ivec3();
+        let middle = position[axis] - 0.5;
+        let low = i32::from(byte >> 2);
+        voxel[axis] = low + 8 * ((middle - f64::from(low)) / 8.0).round() as i32;
+        LatticeEdge { voxel, axis: axis as u8 }
     }
 }
 
@@ -78,7 +117,9 @@ pub struct Extract {
 #[repr(C)]
 struct Vertex {
     position: [f32; 3],
-    colour: [u8; 4],
+    colour: [u8; 3],
+    /// Axis, and from bit 2 on the lowest three bits of where the edge starts along it.
+    edge: u8,
     normal: [f32; 3],
     weight: u16,
     /// In sixteenths.
@@ -96,6 +137,8 @@ struct Range {
 struct Work<'a> {
     map: &'a BlockMap,
     min_weight: u32,
+    /// Blocks whose cells count.
+    cells_of: u32,
     // For each block of the map; the offsets have one more, the total. Counts until the prefix sum has run.
     edges: wgpu::Buffer,
     vertex_offsets: wgpu::Buffer,
@@ -134,7 +177,7 @@ impl Extract {
     }
 
     /// Meshes the map: vertices on the zero crossings between voxels, normals from the gradient of the distances, colours
-    /// where the map has a colour plane, weights the smaller one of the two voxels. `progress` is told now and then how
+    /// and confidences where the map has such planes, weights and confidences the smaller one of the two voxels. `progress` is told now and then how
     /// many of how many steps are done. The map stays as it is. Waits.
     ///
     /// Blocks of several submaps are meshed each on its own, all in their map's coordinates.
@@ -142,14 +185,22 @@ impl Extract {
     /// # Errors
     /// Where the device was lost or ran out of memory, or the mesh has more vertices than 32 bits can number.
     pub fn run(&self, map: &BlockMap, options: &Options, progress: &mut dyn FnMut(u32, u32)) -> Result<Mesh, Error> {
+        Ok(self.part(map, options, progress)?.mesh)
+    }
+
+    /// The same, with the edge of the lattice that each vertex lies on, for a part of a larger map.
+    ///
+    /// # Errors
+    /// As [`Extract::run`].
+    pub fn part(&self, map: &BlockMap, options: &Options, progress: &mut dyn FnMut(u32, u32)) -> Result<Part, Error> {
         let blocks = map.read_record()?.blocks;
         if blocks == 0 {
-            return Ok(Mesh::default());
+            return Ok(Part::default());
         }
         let most = self.device.capabilities().max_binding_bytes / PADDED_BYTES;
         let most = u32::try_from(most).unwrap_or(u32::MAX);
         let per_range = options.blocks_per_range.clamp(1, most).min(blocks);
-        let work = self.work(map, options.min_weight.max(1), blocks, per_range);
+        let work = self.work(map, options, blocks, per_range);
         let counting: Vec<Range> = (0..blocks)
             .step_by(per_range as usize)
             .map(|first| Range { first, count: per_range.min(blocks - first) })
@@ -169,7 +220,7 @@ impl Extract {
         let triangles = self.device.storage("mesh triangles", triangle_bytes);
         let vertex_staging = self.device.staging("mesh vertices", vertex_bytes.max(4));
         let triangle_staging = self.device.staging("mesh triangles", triangle_bytes.max(4));
-        let mut mesh = Mesh::default();
+        let mut part = Part::default();
         for range in ranges {
             let (vertex_bytes, triangle_bytes) = (offsets.vertex_bytes(range), offsets.triangle_bytes(range));
             // A block may have either alone: a cell belongs to one block, the vertices on its edges may belong to others.
@@ -181,18 +232,20 @@ impl Extract {
                 let _untimed = recorder.submit();
                 if vertex_bytes > 0 {
                     let vertices: Vec<Vertex> = self.device.read_staging(&vertex_staging, vertex_bytes)?;
-                    append_vertices(&mut mesh, &vertices, map.layout().kind);
+                    append_vertices(&mut part, &vertices, map.layout().kind);
                 }
                 if triangle_bytes > 0 {
-                    mesh.triangles.extend(self.device.read_staging::<[u32; 3]>(&triangle_staging, triangle_bytes)?);
+                    part.mesh
+                        .triangles
+                        .extend(self.device.read_staging::<[u32; 3]>(&triangle_staging, triangle_bytes)?);
                 }
             }
             progress((blocks + range.first + range.count).min(steps), steps);
         }
-        Ok(mesh)
+        Ok(part)
     }
 
-    fn work<'a>(&self, map: &'a BlockMap, min_weight: u32, blocks: u32, per_range: u32) -> Work<'a> {
+    fn work<'a>(&self, map: &'a BlockMap, options: &Options, blocks: u32, per_range: u32) -> Work<'a> {
         let (all, range) = (u64::from(blocks), u64::from(per_range));
         let padded = |plane: &Plane| {
             let bytes = PADDED_BYTES * plane.words() as u64;
@@ -200,7 +253,8 @@ impl Extract {
         };
         Work {
             map,
-            min_weight,
+            min_weight: options.min_weight.max(1),
+            cells_of: options.cells_of_first.unwrap_or(u32::MAX),
             edges: self.device.storage("mesh edges", all * EDGE_BYTES),
             vertex_offsets: self.device.storage("mesh vertex offsets", (all + 1) * 4),
             triangle_offsets: self.device.storage("mesh triangle offsets", (all * SLICES + 1) * 4),
@@ -215,11 +269,12 @@ impl Extract {
         let mut recorder = Recorder::new(&self.device);
         self.record_signs(&mut recorder, work, range);
         let bindings = mesh::mark::Bindings {
-            params: mesh::mark::Params { first: range.first, count: range.count },
+            params: mesh::mark::Params { first: range.first, count: range.count, cells_of: work.cells_of, unused: 0 },
             signs: &work.signs,
             cases: &self.cases,
             edges: &work.edges,
             triangle_counts: &work.triangle_offsets,
+            neighbours: &work.neighbours,
         };
         recorder.dispatch(&self.mark, &bindings, Groups::linear(u64::from(range.count) * SLICES, 64));
         let _untimed = recorder.submit();
@@ -381,12 +436,17 @@ impl Offsets {
     }
 }
 
-fn append_vertices(mesh: &mut Mesh, vertices: &[Vertex], kind: VoxelKind) {
+fn append_vertices(part: &mut Part, vertices: &[Vertex], kind: VoxelKind) {
+    let mesh = &mut part.mesh;
+    part.edges.extend(vertices.iter().map(|v| v.edge));
     mesh.positions.extend(vertices.iter().map(|v| Vec3::from_array(v.position)));
     mesh.normals.extend(vertices.iter().map(|v| Vec3::from_array(v.normal)));
     mesh.weights.extend(vertices.iter().map(|v| v.weight));
     if kind.colour {
-        mesh.colours.extend(vertices.iter().map(|v| [v.colour[0], v.colour[1], v.colour[2]]));
+        mesh.colours.extend(vertices.iter().map(|v| v.colour));
+    }
+    if kind.confidence {
+        mesh.confidences.extend(vertices.iter().map(|v| f32::from(v.confidence) / 16.0));
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::sync::OnceLock;
 
+use glam::DVec3;
 use itm_core::{ColourImage, Se3};
 use itm_shaders::render;
 
@@ -18,6 +19,39 @@ pub enum Shading {
     Normals,
     /// The map's own colours; nothing where it has none.
     Colour,
+    /// Depth along the optical axis, on a scale from dark blue (near) to yellow (far).
+    Depth,
+    /// How well points are known, on the same scale from poorly to well: the map's confidence where it keeps one, otherwise the
+    /// number of observations.
+    Confidence,
+}
+
+/// The values at the ends of the scale of colours.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scale {
+    /// Nearest and farthest depth in metres.
+    pub depth_m: [f32; 2],
+    /// Confidence, or number of observations, at the scale's upper end; its lower end is 0.
+    pub confidence: f32,
+}
+
+impl Default for Scale {
+    fn default() -> Self {
+        Self { depth_m: [0.0, 4.0], confidence: 100.0 }
+    }
+}
+
+impl Shading {
+    /// As `render/shade.wgsl` numbers it, with the scale's ends.
+    fn kind_and_range(self, scale: &Scale) -> (u32, [f32; 2]) {
+        match self {
+            // Colours do not come from that pass.
+            Self::Grey | Self::Colour => (0, [0.0, 1.0]),
+            Self::Normals => (1, [0.0, 1.0]),
+            Self::Depth => (2, scale.depth_m),
+            Self::Confidence => (3, [0.0, scale.confidence]),
+        }
+    }
 }
 
 /// The stage's pipelines.
@@ -38,7 +72,8 @@ impl Render {
         }
     }
 
-    /// Paints an image that was cast from a pose, with normals; pixels that show nothing have alpha 0. Waits.
+    /// Paints an image that was cast from a pose, with normals, and confidences where those are to be seen; pixels that show
+    /// nothing have alpha 0. Waits.
     ///
     /// # Errors
     /// Where the device was lost.
@@ -48,6 +83,7 @@ impl Render {
         image: &RaycastImage,
         world_from_camera: &Se3,
         shading: Shading,
+        scale: &Scale,
     ) -> Result<ColourImage, Error> {
         let camera = image.camera();
         let pixels = camera.pixels() as u64;
@@ -74,12 +110,16 @@ impl Render {
                 recorder.dispatch(pipeline, &bindings, groups);
             }
         } else {
+            let (kind, range) = shading.kind_and_range(scale);
             let bindings = render::shade::Bindings {
                 params: render::shade::Params {
                     size,
-                    kind: u32::from(shading == Shading::Normals),
-                    unused: 0,
+                    kind,
+                    unused_a: 0,
                     camera: world_from_camera.translation.as_vec3().extend(1.0).to_array(),
+                    forward: (world_from_camera.rotation * DVec3::Z).as_vec3().extend(0.0).to_array(),
+                    range,
+                    unused_b: [0; 2],
                 },
                 points: &image.points,
                 normals: &image.normals,

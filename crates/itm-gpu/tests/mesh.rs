@@ -287,7 +287,7 @@ proptest! {
         let Some(device) = common::device() else { return Ok(()) };
         let on_host = random_map(seed);
         let expected = reference::mesh::extract(&on_host, min_weight, colour);
-        let options = Options { min_weight: min_weight.into(), blocks_per_range: 10 };
+        let options = Options { min_weight: min_weight.into(), blocks_per_range: 10, ..Options::default() };
         let distance = if f32 { DistanceKind::F32 } else { DistanceKind::I16 };
         let map = upload_as(device, &on_host, VoxelKind { distance, colour, confidence: false });
         assert_same(&mesh_of(device, &map, &options), &expected);

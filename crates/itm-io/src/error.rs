@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use itm_core::CalibrationError;
+use itm_core::{CalibrationError, GeometryError};
 use thiserror::Error;
 
 /// Why a file could not be read or written: what was expected, what was found, and where.
@@ -187,24 +187,26 @@ pub enum Error {
         /// The frame's number within its recording.
         frame: u64,
     },
-    /// A mesh file's name whose extension is none of the formats that can be written.
+    /// A name for a mesh or point cloud file whose extension is none of the formats that can be written.
     #[error(
-        "cannot tell the mesh format of '{}' from its name: expected it to end in .ply, .obj, .stl or .glb",
+        "cannot tell the {what} format of '{}' from its name: expected it to end in {known}",
         path.display()
     )]
-    MeshFormat {
+    ExportFormat {
         /// The path as given.
         path: PathBuf,
+        /// What was to be written: `mesh` or `point cloud`.
+        what: &'static str,
+        /// The known extensions.
+        known: &'static str,
     },
-    /// A mesh that no file can hold.
-    #[error("cannot write '{}': expected {expected}, found {found}", path.display())]
-    Mesh {
-        /// The mesh file.
+    /// A mesh or point cloud that no file can hold.
+    #[error("cannot write '{}': {reason}", path.display())]
+    Geometry {
+        /// The file.
         path: PathBuf,
-        /// What would do.
-        expected: &'static str,
-        /// What the mesh holds.
-        found: String,
+        /// What does not fit together.
+        reason: GeometryError,
     },
 
     /// A file that does not begin as a map file does.
@@ -271,6 +273,10 @@ pub enum Error {
 impl Error {
     pub(crate) fn io(action: &'static str, path: &Path, reason: std::io::Error) -> Self {
         Self::Io { action, path: path.to_path_buf(), reason }
+    }
+
+    pub(crate) fn export_format(path: &Path, what: &'static str, known: &'static str) -> Self {
+        Self::ExportFormat { path: path.to_path_buf(), what, known }
     }
 
     pub(crate) fn line(path: &Path, line: usize, expected: impl Into<String>, found: impl Into<String>) -> Self {

@@ -1,11 +1,13 @@
-//! All that touches a file: recordings, calibrations, trajectories, meshes and maps.
+//! All that touches a file: recordings, calibrations, trajectories, meshes, point clouds and maps.
 
 pub mod block_store;
 pub mod calibration;
 mod error;
+mod export;
 pub mod map_file;
 mod matrix;
 pub mod mesh;
+pub mod points;
 pub mod recording;
 mod text;
 pub mod trajectory;

@@ -2,7 +2,7 @@
 //!
 //! | format | holds besides positions and triangles |
 //! | --- | --- |
-//! | PLY (binary) | normals, colours, integration weights (`weight`) |
+//! | PLY (binary) | normals, colours, integration weights (`weight`), confidences (`confidence`) |
 //! | OBJ | normals, colours (`v x y z r g b`, as MeshLab and others read them) |
 //! | STL (binary) | a normal for each triangle |
 //! | GLB (glTF 2.0) | normals, colours |
@@ -12,34 +12,14 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use glam::Vec3;
 use itm_core::Mesh;
 use serde_json::json;
 
 use crate::Error;
+use crate::export::{self, Vertices, Weights, push_floats};
 use crate::whole_file::write_whole;
 
-/// Which way is up in a file, for a mesh whose world is that of a camera held upright: x right, y down, z forward.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum UpAxis {
-    /// The world's own axes: x right, y down, z forward.
-    YDown,
-    /// x right, y up, z towards the viewer, as in glTF: `(x, -y, -z)` of the world.
-    YUp,
-    /// x right, y forward, z up, as in CAD, Blender and ROS: `(x, z, -y)` of the world.
-    ZUp,
-}
-
-impl UpAxis {
-    /// A position or direction of the world in the file's axes. Each is a rotation, so triangles keep their winding.
-    fn turn(self, v: Vec3) -> Vec3 {
-        match self {
-            Self::YDown => v,
-            Self::YUp => Vec3::new(v.x, -v.y, -v.z),
-            Self::ZUp => Vec3::new(v.x, v.z, -v.y),
-        }
-    }
-}
+pub use crate::export::UpAxis;
 
 /// What may be chosen about a mesh file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -58,73 +38,45 @@ pub struct MeshOptions {
 /// An extension that is none of these, a mesh whose parts do not fit together or whose positions are not finite, a mesh
 /// too large for its format, or a file that cannot be written.
 pub fn write(path: &Path, mesh: &Mesh, options: &MeshOptions) -> Result<(), Error> {
-    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    let encode: fn(&mut dyn Write, &Mesh, UpAxis) -> io::Result<()> = match extension.as_str() {
-        "ply" => encode_ply,
-        "obj" => encode_obj,
-        "stl" => encode_stl,
-        "glb" => encode_glb,
-        _ => return Err(Error::MeshFormat { path: path.to_path_buf() }),
-    };
-    let up = if extension == "glb" { UpAxis::YUp } else { options.up.unwrap_or(UpAxis::YDown) };
-    check(mesh, path)?;
+    let encode = encoder(path)?;
+    let up = if export::extension(path) == "glb" { UpAxis::YUp } else { options.up.unwrap_or_default() };
+    mesh.check().map_err(|reason| Error::Geometry { path: path.to_path_buf(), reason })?;
     write_whole(path, |out| encode(out, mesh, up)).map_err(|e| Error::io("write", path, e))
 }
 
-/// Whether the mesh's parts fit together, so that the encoders may index them.
-fn check(mesh: &Mesh, path: &Path) -> Result<(), Error> {
-    let wrong = |expected, found| Err(Error::Mesh { path: path.to_path_buf(), expected, found });
-    let vertices = mesh.positions.len();
-    for (name, count) in
-        [("normals", mesh.normals.len()), ("colours", mesh.colours.len()), ("weights", mesh.weights.len())]
-    {
-        if count != 0 && count != vertices {
-            return wrong(
-                "none or as many normals, colours and weights as vertices",
-                format!("{count} {name} for {vertices} vertices"),
-            );
-        }
+/// Whether the path's extension names a format, so that a name that cannot be meant is refused before a mesh is made.
+///
+/// # Errors
+/// Where it does not.
+pub fn check_name(path: &Path) -> Result<(), Error> {
+    encoder(path).map(|_| ())
+}
+
+type Encoder = fn(&mut dyn Write, &Mesh, UpAxis) -> io::Result<()>;
+
+fn encoder(path: &Path) -> Result<Encoder, Error> {
+    match export::extension(path).as_str() {
+        "ply" => Ok(encode_ply),
+        "obj" => Ok(encode_obj),
+        "stl" => Ok(encode_stl),
+        "glb" => Ok(encode_glb),
+        _ => Err(Error::export_format(path, "mesh", ".ply, .obj, .stl or .glb")),
     }
-    if let Some(i) = mesh.positions.iter().position(|p| !p.is_finite()) {
-        return wrong("finite positions", format!("vertex {i} at {}", mesh.positions[i]));
-    }
-    if let Some(i) = mesh.triangles.iter().position(|t| t.iter().any(|&v| v as usize >= vertices)) {
-        let [a, b, c] = mesh.triangles[i];
-        return wrong("triangles of its vertices", format!("triangle {i} of vertices {a}, {b} and {c} of {vertices}"));
-    }
-    Ok(())
 }
 
 /// The Polygon File Format, binary, little-endian.
 fn encode_ply(out: &mut dyn Write, mesh: &Mesh, up: UpAxis) -> io::Result<()> {
-    writeln!(out, "ply\nformat binary_little_endian 1.0\ncomment written by itm, in metres")?;
-    writeln!(out, "element vertex {}\nproperty float x\nproperty float y\nproperty float z", mesh.positions.len())?;
-    if !mesh.normals.is_empty() {
-        writeln!(out, "property float nx\nproperty float ny\nproperty float nz")?;
-    }
-    if !mesh.colours.is_empty() {
-        writeln!(out, "property uchar red\nproperty uchar green\nproperty uchar blue")?;
-    }
-    if !mesh.weights.is_empty() {
-        writeln!(out, "property ushort weight")?;
-    }
+    let vertices = Vertices {
+        positions: &mesh.positions,
+        normals: &mesh.normals,
+        colours: &mesh.colours,
+        weights: Weights::Counts(&mesh.weights),
+        confidences: &mesh.confidences,
+    };
+    vertices.write_ply_header(out)?;
     writeln!(out, "element face {}\nproperty list uchar uint vertex_indices\nend_header", mesh.triangles.len())?;
-
+    vertices.write_ply_records(out, up)?;
     let mut record = Vec::new();
-    for (i, position) in mesh.positions.iter().enumerate() {
-        record.clear();
-        push_floats(&mut record, up.turn(*position));
-        if let Some(normal) = mesh.normals.get(i) {
-            push_floats(&mut record, up.turn(*normal));
-        }
-        if let Some(colour) = mesh.colours.get(i) {
-            record.extend_from_slice(colour);
-        }
-        if let Some(weight) = mesh.weights.get(i) {
-            record.extend_from_slice(&weight.to_le_bytes());
-        }
-        out.write_all(&record)?;
-    }
     for triangle in &mesh.triangles {
         record.clear();
         record.push(3);
@@ -308,12 +260,6 @@ fn linear_levels() -> [u16; 256] {
     })
 }
 
-fn push_floats(record: &mut Vec<u8>, v: Vec3) {
-    for c in v.to_array() {
-        record.extend_from_slice(&c.to_le_bytes());
-    }
-}
-
 fn too_large(limit: &str) -> io::Error {
     io::Error::new(io::ErrorKind::FileTooLarge, format!("the format holds at most {limit}"))
 }
@@ -321,8 +267,9 @@ fn too_large(limit: &str) -> io::Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ply_rs_bw::parser::Parser;
-    use ply_rs_bw::ply::{DefaultElement, Property};
+    use crate::export::tests::{push_ply_vertex, read_ply_elements};
+    use glam::Vec3;
+    use ply_rs_bw::ply::Property;
     use proptest::prelude::*;
     use std::fs::{self, File};
     use std::path::PathBuf;
@@ -352,29 +299,18 @@ mod tests {
 
     /// The mesh as read back from PLY; its axes are the file's.
     fn read_ply(path: &Path) -> Mesh {
-        let ply = Parser::<DefaultElement>::new().read_ply(&mut File::open(path).unwrap()).unwrap();
-        let float = |e: &DefaultElement, key: &str| match e[key] {
-            Property::Float(v) => v,
-            ref other => panic!("{key} is {other:?}"),
-        };
-        let byte = |e: &DefaultElement, key: &str| match e[key] {
-            Property::UChar(v) => v,
-            ref other => panic!("{key} is {other:?}"),
-        };
+        let elements = read_ply_elements(path);
         let mut mesh = Mesh::default();
-        for v in &ply.payload["vertex"] {
-            mesh.positions.push(Vec3::new(float(v, "x"), float(v, "y"), float(v, "z")));
-            if v.contains_key("nx") {
-                mesh.normals.push(Vec3::new(float(v, "nx"), float(v, "ny"), float(v, "nz")));
-            }
-            if v.contains_key("red") {
-                mesh.colours.push([byte(v, "red"), byte(v, "green"), byte(v, "blue")]);
-            }
+        for v in &elements["vertex"] {
+            push_ply_vertex(v, &mut mesh.positions, &mut mesh.normals, &mut mesh.colours);
             if let Some(Property::UShort(weight)) = v.get("weight") {
                 mesh.weights.push(*weight);
             }
+            if let Some(Property::Float(confidence)) = v.get("confidence") {
+                mesh.confidences.push(*confidence);
+            }
         }
-        for f in &ply.payload["face"] {
+        for f in &elements["face"] {
             let Property::ListUInt(ref indices) = f["vertex_indices"] else { panic!("{f:?}") };
             mesh.triangles.push(indices.as_slice().try_into().unwrap());
         }
@@ -444,26 +380,29 @@ mod tests {
             normals: axes.to_vec(),
             colours: vec![[0, 1, 2], [3, 12, 13], [60, 128, 200], [255, 254, 253], [9, 90, 0], [11, 22, 33]],
             weights: vec![0, 1, 255, 256, 10_000, u16::MAX],
+            confidences: vec![0.0, 0.0625, 1.0, 2.5, 80.0, 4095.9375],
             triangles: vec![[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]],
         }
     }
 
     fn meshes() -> impl Strategy<Value = Mesh> {
         let vector = || prop::array::uniform3(-1e3..1e3f32).prop_map(Vec3::from);
-        (1..20usize, any::<[bool; 3]>()).prop_flat_map(move |(vertices, [normals, colours, weights])| {
+        (1..20usize, any::<[bool; 4]>()).prop_flat_map(move |(vertices, [normals, colours, weights, confidences])| {
             let of = move |present: bool| if present { vertices } else { 0 };
             (
                 prop::collection::vec(vector(), vertices),
                 prop::collection::vec(vector().prop_map(|v| v.normalize_or(Vec3::X)), of(normals)),
                 prop::collection::vec(any::<[u8; 3]>(), of(colours)),
                 prop::collection::vec(any::<u16>(), of(weights)),
+                prop::collection::vec(0.0..4096.0f32, of(confidences)),
                 prop::collection::vec(prop::array::uniform3(0..vertices as u32), 0..30),
             )
-                .prop_map(|(positions, normals, colours, weights, triangles)| Mesh {
+                .prop_map(|(positions, normals, colours, weights, confidences, triangles)| Mesh {
                     positions,
                     normals,
                     colours,
                     weights,
+                    confidences,
                     triangles,
                 })
         })

@@ -1,5 +1,7 @@
 //! Dense RGB-D SLAM: camera tracking, volumetric mapping and coloured meshes, on any GPU that wgpu knows.
 //!
+//! [`SavedMap`] opens the map file of an earlier run, meshes it and renders it, in bounded memory.
+//!
 //! [`Slam`] is the core: push frames in, get poses out, ask for a mesh or a picture at any time. It is synchronous and
 //! starts no thread. [`Session`] runs it over a recording, with decoding ahead on another thread, as a stream of events.
 //!
@@ -19,21 +21,32 @@
 //! # }
 //! ```
 
+mod chunked_mesh;
+mod chunks;
+mod decimate;
 mod error;
 mod frame_result;
 mod mapper;
+mod saved;
 mod saving;
 mod session;
 mod slam;
+mod source;
 mod swapping;
 pub mod tracking;
+mod views;
 
+pub use chunked_mesh::{MeshOptions, mesh_in_chunks};
+pub use decimate::{DecimateError, decimate};
 pub use error::Error;
 pub use frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
+pub use saved::SavedMap;
 pub use saving::{SavedSession, settings_of};
 pub use session::{Event, Session, SessionOptions, Start, Summary};
 pub use slam::{Poses, Slam};
+pub use source::BlockSource;
+pub use views::{MapViews, full_confidence};
 
 pub use itm_core::*;
-pub use itm_gpu::render::Shading;
-pub use itm_gpu::{AdapterKind, AdapterReport, Capabilities, Device, FrameRecord};
+pub use itm_gpu::render::{Scale, Shading};
+pub use itm_gpu::{AdapterKind, AdapterReport, Capabilities, Device, FrameRecord, MapLayout};

@@ -9,7 +9,7 @@ use itm_core::{
 use itm_gpu::evaluate::Evaluator;
 use itm_gpu::mesh::Extract;
 use itm_gpu::photometric::PointList;
-use itm_gpu::render::{Render, Shading};
+use itm_gpu::render::{Render, Scale, Shading};
 use itm_gpu::view::{ViewOptions, ViewStage};
 use itm_gpu::{Device, RaycastImage, Recorder, StageTimes, View};
 
@@ -450,7 +450,8 @@ impl Slam {
         shading: Shading,
     ) -> Result<ColourImage, Error> {
         let image = self.mapper.cast(camera, world_from_camera, max_depth_m)?;
-        Ok(self.render.run(&self.mapper.map, &image, world_from_camera, shading)?)
+        let scale = Scale { depth_m: [0.0, max_depth_m], confidence: crate::views::full_confidence(&self.settings) };
+        Ok(self.render.run(&self.mapper.map, &image, world_from_camera, shading, &scale)?)
     }
 }
 

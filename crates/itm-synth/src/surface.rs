@@ -69,7 +69,7 @@ pub fn exact_mesh(scene: &Scene, cell_m: f32) -> Result<Mesh, Error> {
     let positions: Vec<Vec3> = crossed.iter().map(|c| c.vertex).collect();
     let normals = positions.par_iter().map(|p| scene.sample(*p).map_or(-Vec3::Y, |s| s.normal)).collect();
     let colours = positions.par_iter().map(|p| colour_at(scene, *p)).collect();
-    Ok(Mesh { positions, normals, colours, weights: Vec::new(), triangles })
+    Ok(Mesh { positions, normals, colours, triangles, ..Mesh::default() })
 }
 
 /// A cell that the surface crosses.

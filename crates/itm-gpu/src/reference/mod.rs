@@ -15,6 +15,7 @@ pub mod normals;
 pub mod photometric;
 pub mod ranges;
 pub mod raycast;
+pub mod render;
 pub mod view;
 pub mod visible;
 

@@ -21,6 +21,7 @@ use crate::Error;
 pub struct MapReader {
     path: PathBuf,
     file: BufReader<File>,
+    version: (u16, u16),
     header: MapHeader,
     sections: Vec<Section>,
 }
@@ -55,7 +56,7 @@ impl MapReader {
         let mut file = BufReader::with_capacity(CHUNK_BYTES, file);
         let mut source = Source { path, file: &mut file };
         let length = source.file.seek(SeekFrom::End(0)).map_err(|e| Error::io("read", path, e))?;
-        source.check_prefix(length)?;
+        let version = source.check_prefix(length)?;
         let sections = source.read_sections(length)?;
         let section = find(path, &sections, tag::HEADER)?;
         let mut text = Vec::new();
@@ -68,7 +69,12 @@ impl MapReader {
         let header: MapHeader = toml::from_str(&text)
             .map_err(|e| unusable(("the header's keys".into(), format!("that {}", e.to_string().trim_end()))))?;
         header.check().map_err(unusable)?;
-        Ok(Self { path: path.to_path_buf(), file, header, sections })
+        Ok(Self { path: path.to_path_buf(), file, version, header, sections })
+    }
+
+    /// The version of the file's format, major and minor.
+    pub fn version(&self) -> (u16, u16) {
+        self.version
     }
 
     /// The header.
@@ -216,7 +222,7 @@ impl Source<'_> {
         Error::MapDamaged { path: self.path.to_path_buf(), place, problem: problem.into() }
     }
 
-    fn check_prefix(&mut self, length: u64) -> Result<(), Error> {
+    fn check_prefix(&mut self, length: u64) -> Result<(u16, u16), Error> {
         let not_a_map = || Error::NotAMap { path: self.path.to_path_buf() };
         let mut prefix = [0; PREFIX_BYTES];
         let there = length.min(PREFIX_BYTES as u64) as usize;
@@ -239,7 +245,7 @@ impl Source<'_> {
         if prefix[..] != writer::prefix(version) || version.0 == 0 {
             return Err(self.damaged("the file's start".into(), "its checksum is wrong"));
         }
-        Ok(())
+        Ok(version)
     }
 
     /// All sections before the end section, behind which the file of so many bytes has to end.

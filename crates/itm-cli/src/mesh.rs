@@ -1,0 +1,140 @@
+//! `itm mesh`.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{Result, bail};
+use clap::Args;
+use glam::{DVec3, Vec3};
+use itm_core::PointCloud;
+use itm_io::mesh::{self as mesh_file, UpAxis};
+use itm_io::points as point_file;
+use itm_slam::{MeshOptions, decimate};
+
+use crate::console;
+use crate::maps::{self, MIB};
+use crate::run::UpArgument;
+
+/// Mesh a saved map
+///
+/// The map is meshed part by part, so that the device needs room for a part only, and the host for the mesh and --memory.
+/// Where several are asked for, --crop comes first, then --components, then --decimate.
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  itm mesh room.itm -o room.ply
+  itm mesh room.itm -o room.glb --components 1000 --decimate 0.1
+  itm mesh room.itm -o table.obj --crop=-0.5,-0.2,0.8,0.7,0.6,1.9 --min-weight 3
+  itm mesh room.itm -o room.pcd --points --up z-up")]
+pub(crate) struct Arguments {
+    /// The map file
+    map: PathBuf,
+    /// File to write: .ply, .obj, .stl or .glb; with --points .ply, .pcd or .xyz
+    #[arg(short, long)]
+    out: PathBuf,
+    /// Only where voxels have been observed so often
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    min_weight: u32,
+    /// Only what lies in this box, in metres of the map's world
+    #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = parse_box, allow_hyphen_values = true)]
+    crop: Option<[Vec3; 2]>,
+    /// Drop pieces of fewer than N connected triangles
+    #[arg(long, value_name = "N")]
+    components: Option<usize>,
+    /// Keep this share of the triangles, above 0 and at most 1
+    #[arg(long, value_name = "RATIO", value_parser = parse_ratio)]
+    decimate: Option<f32>,
+    /// Write the vertices as a point cloud
+    #[arg(long)]
+    points: bool,
+    /// Which way is up in the file; by default it keeps the trajectory's world. GLB is always y-up
+    #[arg(long, value_enum)]
+    up: Option<UpArgument>,
+    /// Keep so much of the map in memory; the rest goes to a temporary file
+    #[arg(long, value_name = "MIB", default_value_t = 1024)]
+    memory: u64,
+    /// Adapter: auto, a number from 'itm devices' or a part of its name [default: that of the map's settings]
+    #[arg(long)]
+    device: Option<String>,
+    /// Show no progress and print nothing
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
+    let out = &arguments.out;
+    if arguments.points {
+        point_file::check_name(out)?
+    } else {
+        mesh_file::check_name(out)?
+    }
+    maps::check_folder_of(out)?;
+    let mut map = maps::open(&arguments.map, arguments.memory, arguments.quiet)?;
+    let device = maps::device(arguments.device.as_deref(), &map)?;
+    let started = Instant::now();
+    let bar = console::bar(0, "blocks meshed", arguments.quiet);
+    let options = MeshOptions { min_weight: arguments.min_weight, ..MeshOptions::default() };
+    let mesh = map.mesh(&device, &options, &mut |done, all| {
+        bar.set_length(all);
+        bar.set_position(done);
+    });
+    bar.finish_and_clear();
+    let mut mesh = mesh?;
+    let seconds = started.elapsed().as_secs_f64();
+    if mesh.is_empty() {
+        bail!(
+            "the map '{}' has no surface where voxels were observed {} times",
+            arguments.map.display(),
+            arguments.min_weight.max(1)
+        );
+    }
+    let found = mesh.triangles.len();
+    if let Some([min, max]) = arguments.crop {
+        mesh = mesh.crop(min, max);
+    }
+    if let Some(least) = arguments.components {
+        let dropped = mesh.drop_small_components(least);
+        tracing::info!(dropped.components, dropped.triangles, "small pieces are dropped");
+    }
+    if let Some(ratio) = arguments.decimate {
+        mesh = decimate(&mesh, ratio)?;
+    }
+    if mesh.is_empty() {
+        bail!("nothing is left of {found} triangles after --crop, --components and --decimate");
+    }
+    let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
+    let up = arguments.up.map(UpAxis::from);
+    if arguments.points {
+        point_file::write(out, &PointCloud::from(mesh), up.unwrap_or_default())?;
+    } else {
+        mesh_file::write(out, &mesh, &mesh_file::MeshOptions { up })?;
+    }
+    if !arguments.quiet {
+        let size = std::fs::metadata(out).map_or(0, |m| m.len()) as f64 / MIB as f64;
+        let shown = out.display();
+        let what = if arguments.points {
+            format!("{vertices} points")
+        } else {
+            format!("{vertices} vertices, {triangles} triangles")
+        };
+        console::print(format_args!(
+            "{shown}: {what}, {size:.1} MiB; {} blocks meshed in {seconds:.1} s into {found} triangles",
+            map.blocks()
+        ))?;
+    }
+    Ok(0)
+}
+
+fn parse_box(text: &str) -> Result<[Vec3; 2]> {
+    let [x0, y0, z0, x1, y1, z1] = maps::numbers(text)?;
+    let (min, max) = (DVec3::new(x0, y0, z0), DVec3::new(x1, y1, z1));
+    if !min.cmplt(max).all() {
+        bail!("expected a box from its smallest to its largest coordinates, but '{text}' holds nothing");
+    }
+    Ok([min.as_vec3(), max.as_vec3()])
+}
+
+fn parse_ratio(text: &str) -> Result<f32, String> {
+    let ratio = text.parse::<f32>().ok().filter(|ratio| *ratio > 0.0 && *ratio <= 1.0);
+    ratio.ok_or_else(|| format!("expected a share above 0 and at most 1, not '{text}'"))
+}

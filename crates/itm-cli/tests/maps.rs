@@ -1,0 +1,256 @@
+//! `itm info`, `itm mesh` and `itm render` on a small saved map of two balls.
+
+#![allow(clippy::unwrap_used, reason = "this is a test, and its helpers outside of #[test] functions are too")]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use glam::{DQuat, DVec3, IVec3, Vec3};
+use itm_core::voxel::{BlockKey, ColourVoxel, DistanceKind, DistanceVoxel, VoxelKind};
+use itm_core::{Calibration, DepthConversion, Intrinsics, Se3, Settings, StampedPose, Timestamp, Trajectory};
+use itm_io::map_file::{MapHeader, MapWriter, tag};
+use serde_json::Value;
+use tempfile::TempDir;
+
+const VOXEL_M: f32 = 0.01;
+const BAND_M: f32 = 0.05;
+/// Centres in metres, and radii.
+const BALLS: [(Vec3, f32); 2] = [(Vec3::new(0.0, 0.0, 1.0), 0.3), (Vec3::new(0.5, 0.1, 0.8), 0.08)];
+
+fn distance(p: Vec3) -> f32 {
+    BALLS.iter().map(|(centre, radius)| p.distance(*centre) - radius).fold(f32::MAX, f32::min)
+}
+
+/// Writes a map whose trajectory goes a little to the side, with so many of its blocks in it.
+fn write_map(path: &Path, all: bool) {
+    let kind = VoxelKind { distance: DistanceKind::I16, colour: true, confidence: false };
+    let mut settings = Settings::default();
+    settings.map.voxel_size_m = VOXEL_M;
+    settings.map.truncation_m = BAND_M;
+    settings.map.max_weight = 20;
+    settings.view.max_depth_m = 2.0;
+    let camera = Intrinsics::new(160, 120, 140.0, 140.0, 79.5, 59.5);
+    let header = MapHeader::new(&settings, Calibration::registered(camera, DepthConversion::MILLIMETRES), kind);
+    let mut writer = MapWriter::create(path, &header).unwrap();
+    let blocks = |sink: &mut itm_io::map_file::BlockSink<'_, '_>| -> Result<(), itm_io::Error> {
+        let side = || -6..20;
+        for position in side().flat_map(|z| side().flat_map(move |y| side().map(move |x| IVec3::new(x, y, z)))) {
+            let at = |i: i32| (position * 8 + IVec3::new(i & 7, i >> 3 & 7, i >> 6)).as_vec3() * VOXEL_M;
+            if !all || (0..512).all(|i| distance(at(i)).abs() > BAND_M) {
+                continue;
+            }
+            let weight = |p: Vec3| if p.x < 0.0 { 4 } else { 16 };
+            let words = (0..512).map(|i| DistanceVoxel::new(distance(at(i)) / BAND_M, weight(at(i))).0);
+            let colour = |i| ColourVoxel::new(if at(i).y < 0.0 { [220, 60, 40] } else { [40, 90, 200] }, 9).0;
+            let words: Vec<u32> = words.chain((0..512).map(colour)).collect();
+            sink.block(BlockKey { submap: 0, position }, &words)?;
+        }
+        Ok(())
+    };
+    writer.blocks(tag::BLOCKS, blocks).unwrap();
+    let pose = |i: i64| StampedPose {
+        timestamp: Timestamp(i * 100_000_000),
+        world_from_camera: Se3::new(DQuat::IDENTITY, DVec3::new(0.05 * i as f64, 0.0, 0.0)),
+    };
+    writer.trajectory(&(0..5).map(pose).collect::<Trajectory>()).unwrap();
+    writer.finish().unwrap();
+}
+
+fn with_map() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write_map(&folder.path().join("room.itm"), true);
+    folder
+}
+
+fn itm(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_itm")).args(arguments).current_dir(folder).output().unwrap()
+}
+
+#[track_caller]
+fn refused(folder: &Path, arguments: &[&str], status: i32, words: &[&str]) {
+    let output = itm(folder, arguments);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(status), "{error}");
+    assert!(words.iter().all(|word| error.contains(word)), "{words:?} are not all in: {error}");
+}
+
+/// What the program prints; `None` where there is no device to run on.
+#[track_caller]
+fn printed(folder: &Path, arguments: &[&str]) -> String {
+    let output = itm(folder, arguments);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[expect(clippy::print_stdout, reason = "a test that checks nothing says so")]
+fn skipped() -> bool {
+    let skipped = std::env::var_os("ITM_SKIP_GPU_TESTS").is_some();
+    if skipped {
+        println!("skipped, because ITM_SKIP_GPU_TESTS is set");
+    }
+    skipped
+}
+
+#[test]
+fn info_tells_what_a_map_holds() {
+    let folder = with_map();
+    let info: Value = serde_json::from_str(&printed(folder.path(), &["info", "room.itm", "--json"])).unwrap();
+    let blocks = info["blocks"].as_u64().unwrap();
+    assert!(blocks > 50);
+    assert_eq!((&info["device_blocks"], &info["host_blocks"]), (&blocks.into(), &0.into()));
+    assert_eq!(info["voxel_bytes"], blocks * 4096);
+    assert_eq!(info["format_version"], serde_json::json!([1, 0]));
+    assert_eq!(info["poses"], 5);
+    assert!((info["trajectory_length_m"].as_f64().unwrap() - 0.2).abs() < 1e-9);
+    assert!((info["trajectory_seconds"].as_f64().unwrap() - 0.4).abs() < 1e-9);
+    // The larger ball's nearest and the smaller one's rightmost point, with the band and at most a block around them.
+    let bounds = |i: usize, axis: usize| info["bounds_m"][i][axis].as_f64().unwrap();
+    assert!((0.57..=0.65).contains(&bounds(0, 2)) && (0.63..=0.72).contains(&bounds(1, 0)));
+    let tags: Vec<_> = info["sections"].as_array().unwrap().iter().map(|s| s["tag"].as_str().unwrap()).collect();
+    assert_eq!(tags, ["HEAD", "BLKS", "TRAJ"]);
+    let text = printed(folder.path(), &["info", "room.itm"]);
+    for words in ["map format 1.0", "16-bit distances, colours", "5 poses", "0.20 m in 0.4 s", "BLKS"] {
+        assert!(text.contains(words), "'{words}' is not in: {text}");
+    }
+}
+
+#[test]
+fn damaged_maps_and_other_files_are_told_apart() {
+    let folder = with_map();
+    let at = |name: &str| folder.path().join(name);
+    let mut bytes = fs::read(at("room.itm")).unwrap();
+    fs::write(at("short.itm"), &bytes[..bytes.len() - 40]).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 4;
+    fs::write(at("flipped.itm"), &bytes).unwrap();
+    fs::write(at("text.itm"), "ply\nformat ascii 1.0\n").unwrap();
+    refused(folder.path(), &["info", "flipped.itm"], 1, &["flipped.itm", "section BLKS", "checksum"]);
+    refused(folder.path(), &["mesh", "flipped.itm", "-o", "m.ply"], 1, &["flipped.itm", "checksum"]);
+    refused(folder.path(), &["info", "short.itm"], 1, &["short.itm"]);
+    refused(folder.path(), &["info", "text.itm"], 1, &["text.itm", "map"]);
+    refused(folder.path(), &["info", "none.itm"], 1, &["none.itm"]);
+    assert!(!at("m.ply").exists());
+}
+
+#[test]
+fn what_cannot_be_meant_is_refused_before_any_work() {
+    // There is no map at all: these are found first.
+    let folder = tempfile::tempdir().unwrap();
+    let mesh = |more: &[&str], status, words: &[&str]| {
+        refused(folder.path(), &[&["mesh", "none.itm"], more].concat(), status, words);
+    };
+    mesh(&["-o", "room.xyz"], 1, &["room.xyz", ".ply, .obj, .stl or .glb"]);
+    mesh(&["-o", "room.glb", "--points"], 1, &["room.glb", ".ply, .pcd or .xyz"]);
+    mesh(&["-o", "nowhere/room.ply"], 1, &["'nowhere'", "does not exist"]);
+    for bad in ["0", "1.5", "-0.1", "nan", "half"] {
+        mesh(&["-o", "room.ply", &format!("--decimate={bad}")], 2, &["above 0 and at most 1", bad]);
+    }
+    mesh(&["-o", "room.ply", "--crop", "1,2,3"], 2, &["expected 6 finite numbers", "1,2,3"]);
+    mesh(&["-o", "room.ply", "--crop=0,0,0,1,-1,1"], 2, &["holds nothing"]);
+    let render = |more: &[&str], status, words: &[&str]| {
+        refused(folder.path(), &[&["render", "none.itm"], more].concat(), status, words);
+    };
+    render(&["-o", "a.jpg", "--pose", "0,0,0,0,0,0,1"], 1, &["a.jpg", ".png"]);
+    render(&["-o", "a.png", "--pose", "0,0,0,0,0,0,0"], 2, &["--pose"]);
+    render(&["-o", "a.png", "--pose", "0,0,0,0,0,0,1", "--every", "2"], 2, &["--every"]);
+    render(&["-o", "out", "--fov", "180"], 2, &["between 1 and 170"]);
+    render(&["-o", "out", "--trajectory", "t.txt"], 1, &["t.txt"]);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+
+    let path = folder.path().join("empty.itm");
+    write_map(&path, false);
+    refused(folder.path(), &["mesh", "empty.itm", "-o", "m.ply"], 1, &["'empty.itm' is empty"]);
+    refused(folder.path(), &["render", "empty.itm", "-o", "out"], 1, &["'empty.itm' is empty"]);
+    assert!(printed(folder.path(), &["info", "empty.itm"]).contains("blocks      0"));
+}
+
+/// Vertices and triangles that a PLY's header announces.
+fn counts(path: &Path) -> (usize, usize) {
+    let bytes = fs::read(path).unwrap();
+    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(600)]).into_owned();
+    let count = |element: &str| {
+        let line = text.lines().find_map(|line| line.strip_prefix(element)).unwrap_or("0");
+        line.trim().parse().unwrap()
+    };
+    (count("element vertex"), count("element face"))
+}
+
+#[test]
+fn meshes_are_cropped_cleaned_and_decimated() {
+    if skipped() {
+        return;
+    }
+    let folder = with_map();
+    let mesh = |name: &str, more: &[&str]| {
+        printed(folder.path(), &[&["mesh", "room.itm", "-o", name, "--memory", "0"], more].concat());
+        counts(&folder.path().join(name))
+    };
+    let (vertices, triangles) = mesh("all.ply", &[]);
+    // Two closed surfaces: V - E + F = 4 with 3 F = 2 E.
+    assert_eq!(2 * vertices, triangles + 8);
+    let (_, of_one) = mesh("one.ply", &["--components", "3000"]);
+    let small_area = BALLS[1].1.powi(2) / BALLS.iter().map(|b| b.1.powi(2)).sum::<f32>();
+    let share = 1.0 - of_one as f32 / triangles as f32;
+    assert!((share / small_area - 1.0).abs() < 0.2, "{share} of the triangles for {small_area} of the area");
+    let (_, few) = mesh("few.ply", &["--decimate", "0.1"]);
+    assert!((few as f32 / triangles as f32 - 0.1).abs() < 0.01, "{few} of {triangles}");
+    let (_, half) = mesh("half.ply", &["--crop", "-1,-1,0,0,1,2"]);
+    assert!(half > triangles / 3 && half < triangles / 2, "{half} of {triangles}");
+    let (_, often) = mesh("often.ply", &["--min-weight", "5"]);
+    assert!(often > triangles / 2 && often < 2 * triangles / 3 + 100, "{often} of {triangles}");
+    let (points, none) = mesh("points.ply", &["--points", "--up", "z-up"]);
+    assert_eq!((points, none), (vertices, 0));
+    for (name, more) in [("m.obj", None), ("m.stl", None), ("m.GLB", None), ("m.pcd", Some("--points"))] {
+        let arguments: Vec<&str> = ["mesh", "room.itm", "-o", name, "-q"].into_iter().chain(more).collect();
+        assert_eq!(printed(folder.path(), &arguments), "");
+        assert!(fs::metadata(folder.path().join(name)).unwrap().len() > 10_000);
+    }
+    let nothing = ["mesh", "room.itm", "-o", "no.ply", "--crop", "8,8,8,9,9,9"];
+    refused(folder.path(), &nothing, 1, &["nothing is left of"]);
+    refused(folder.path(), &["mesh", "room.itm", "-o", "no.ply", "--min-weight", "17"], 1, &["no surface", "17 times"]);
+    assert!(!folder.path().join("no.ply").exists());
+}
+
+#[test]
+fn pictures_show_the_balls_where_they_are() {
+    if skipped() {
+        return;
+    }
+    let folder = with_map();
+    let pose = ["--pose", "0,0,0,0,0,0,1"];
+    let render = |name: &str, more: &[&str]| {
+        printed(folder.path(), &[&["render", "room.itm", "-o", name], more].concat());
+        image::open(folder.path().join(name)).ok()
+    };
+    for kind in ["grey", "colour", "normals", "depth", "confidence"] {
+        let name = format!("{kind}.png");
+        let picture = render(&name, &[&pose[..], &["--kind", kind]].concat()).unwrap().to_rgba8();
+        assert_eq!(picture.dimensions(), (160, 120));
+        assert_eq!(picture[(79, 59)].0[3], 255);
+        assert_eq!(picture[(5, 5)].0[3], 0);
+    }
+    let [r, _, b, _] = image::open(folder.path().join("colour.png")).unwrap().to_rgba8()[(79, 50)].0;
+    assert!(r > b, "the upper half is red");
+    let depth = image::open(folder.path().join("depth-mm.png")).unwrap();
+    assert!(matches!(depth, image::DynamicImage::ImageLuma16(_)));
+    let depth = depth.to_luma16();
+    assert!(depth[(79, 59)].0[0].abs_diff(700) <= 2, "{:?}", depth[(79, 59)]);
+    assert_eq!(depth[(5, 5)].0[0], 0);
+
+    // A camera behind, turned around.
+    let behind = ["--pose=0,0,2.5,0,1,0,0", "--fov", "60", "--size", "200x150", "--max-depth", "3"];
+    let picture = render("behind.png", &behind).unwrap().to_rgba8();
+    assert_eq!((picture.dimensions(), picture[(99, 74)].0[3]), ((200, 150), 255));
+
+    assert!(render("views", &["--every", "2", "--size", "80x60", "--kind", "normals"]).is_none());
+    let mut names: Vec<_> = fs::read_dir(folder.path().join("views"))
+        .unwrap()
+        .map(|e| e.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    assert_eq!(names, ["000000.png", "000002.png", "000004.png"]);
+    fs::write(folder.path().join("t.txt"), "1.0 0 0 0.2 0 0 0 1\n").unwrap();
+    render("more", &["--trajectory", "t.txt"]);
+    assert!(folder.path().join("more/000000.png").exists());
+}
