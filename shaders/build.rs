@@ -25,6 +25,7 @@ const VARIANTS: &[(&str, &[Choice])] = &[
     ("photometric/sums", &[&[&[], &["rgb"]]]),
     ("raycast", &[F32, PAGES]),
     ("render/colour", &[PAGES]),
+    ("swap/empty", &[F32]),
     // Colours, confidences, distances of both kinds.
     ("swap/merge", &[&[&[], &["confidences"], &["distances"], &["f32", "distances"]]]),
 ];

@@ -38,6 +38,9 @@ pub struct Swap {
     scan: Scan,
     list: Pipeline,
     gather: Pipeline,
+    /// By kind of distance.
+    empty: [OnceLock<Pipeline>; 2],
+    count: Pipeline,
     place: Pipeline,
     /// Colours, confidences, distances of 16 bits and in single precision.
     merge: [OnceLock<Pipeline>; 4],
@@ -173,6 +176,8 @@ impl Swap {
             scan: Scan::new(device),
             list: Pipeline::plain(device, &swap::list::PASS),
             gather: Pipeline::plain(device, &swap::gather::PASS),
+            empty: Default::default(),
+            count: Pipeline::plain(device, &swap::count::PASS),
             place: Pipeline::plain(device, &swap::place::PASS),
             merge: Default::default(),
             hash: Hash::new(device),
@@ -228,6 +233,26 @@ impl Swap {
     ) -> LeavingReader {
         self.list_leaving(recorder, map, transfer, frame, least_age, most);
         let kind = map.layout().kind;
+        self.gather(recorder, map, transfer);
+        let most = u64::from(most.min(transfer.room));
+        let copy = |recorder: &mut Recorder, from: &wgpu::Buffer, bytes: u64| {
+            let staging = self.device.staging("leaving blocks", bytes.max(4));
+            recorder.copy(from, &staging, bytes);
+            staging
+        };
+        let reader = LeavingReader {
+            count: copy(recorder, &transfer.count, 4),
+            keys: copy(recorder, &transfer.keys, most * 8),
+            words: copy(recorder, &transfer.words, most * kind.block_bytes()),
+            block_words: kind.block_words(),
+        };
+        self.hash.remove_listed(recorder, map, &transfer.listed, &transfer.count, transfer.room);
+        reader
+    }
+
+    /// Copies the listed blocks into the transfer buffer.
+    fn gather(&self, recorder: &mut Recorder, map: &BlockMap, transfer: &Transfer) {
+        let kind = map.layout().kind;
         let mut plane_start = 0;
         for plane in &map.planes {
             let plane_words = plane.block_words() as u32;
@@ -251,20 +276,6 @@ impl Swap {
             }
             plane_start += plane_words;
         }
-        let most = u64::from(most.min(transfer.room));
-        let copy = |recorder: &mut Recorder, from: &wgpu::Buffer, bytes: u64| {
-            let staging = self.device.staging("leaving blocks", bytes.max(4));
-            recorder.copy(from, &staging, bytes);
-            staging
-        };
-        let reader = LeavingReader {
-            count: copy(recorder, &transfer.count, 4),
-            keys: copy(recorder, &transfer.keys, most * 8),
-            words: copy(recorder, &transfer.words, most * kind.block_bytes()),
-            block_words: kind.block_words(),
-        };
-        self.hash.remove_listed(recorder, map, &transfer.listed, &transfer.count, transfer.room);
-        reader
     }
 
     /// The same, but the blocks are gone for good.
@@ -279,6 +290,56 @@ impl Swap {
     ) {
         self.list_leaving(recorder, map, transfer, frame, least_age, most);
         self.hash.remove_listed(recorder, map, &transfer.listed, &transfer.count, transfer.room);
+    }
+
+    /// Records the removal of those of the visible blocks that hold nothing: no voxel that was seen near a surface or behind
+    /// one. At most as many as a transfer holds. The grid and the visible list are stale afterwards.
+    pub fn record_emptied(&self, recorder: &mut Recorder, map: &BlockMap, transfer: &Transfer) {
+        recorder.stage("swap");
+        let chunks = map.capacity().div_ceil(32);
+        recorder.clear(&map.visible_bits, map.visible_bits.size());
+        let which = usize::from(map.layout().kind.distance == DistanceKind::F32);
+        let pipeline = self.empty[which]
+            .get_or_init(|| Pipeline::new(&self.device, &swap::empty::PASS, map.distance_features(), &[]));
+        for (distances, page) in map.distances().iter().zip(0..) {
+            let bindings = swap::empty::Bindings {
+                params: swap::empty::Params { page, page_shift: map.page_shift() },
+                counters: &map.counters,
+                visible: &map.visible,
+                distances,
+                bits: &map.visible_bits,
+            };
+            recorder.dispatch(pipeline, &bindings, Groups::linear(map.capacity().into(), 64));
+        }
+        let bindings = swap::count::Bindings {
+            params: swap::count::Params { chunks },
+            bits: &map.visible_bits,
+            counts: &map.visible_counts,
+        };
+        recorder.dispatch(&self.count, &bindings, Groups::linear(chunks.into(), 64));
+        self.list_marked(recorder, map, transfer, transfer.room);
+        self.hash.remove_listed(recorder, map, &transfer.listed, &transfer.count, transfer.room);
+    }
+
+    /// Reads blocks with these indices back, each as [`HostBlock::words`], one after the other. Waits.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read(&self, map: &BlockMap, blocks: &[u32]) -> Result<Vec<u32>, Error> {
+        let block_words = map.layout().kind.block_words();
+        let mut words = Vec::with_capacity(blocks.len() * block_words);
+        let transfer = Transfer::new(&self.device, map, 1024.min(blocks.len() as u32));
+        for some in blocks.chunks(transfer.room as usize) {
+            let count = some.len() as u32;
+            self.device.queue.write_buffer(&transfer.listed, 0, bytemuck::cast_slice(some));
+            self.device.queue.write_buffer(&transfer.count, 0, bytemuck::bytes_of(&count));
+            let mut recorder = Recorder::new(&self.device);
+            recorder.stage("swap");
+            self.gather(&mut recorder, map, &transfer);
+            let _untimed = recorder.submit();
+            words.extend(self.device.read::<u32>(&transfer.words, 0, u64::from(count) * block_words as u64 * 4)?);
+        }
+        Ok(words)
     }
 
     fn list_leaving(
@@ -302,6 +363,12 @@ impl Swap {
             counts: &map.visible_counts,
         };
         recorder.dispatch(&self.select, &bindings, Groups::linear(chunks.into(), 64));
+        self.list_marked(recorder, map, transfer, most);
+    }
+
+    /// Lists the blocks that are marked in the map's bits, and counted.
+    fn list_marked(&self, recorder: &mut Recorder, map: &BlockMap, transfer: &Transfer, most: u32) {
+        let chunks = map.capacity().div_ceil(32);
         let total = Total {
             counters: &transfer.count,
             slot: 0,
