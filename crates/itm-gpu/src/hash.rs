@@ -10,6 +10,9 @@ use itm_shaders::hash;
 use crate::recorder::{Groups, Pipeline};
 use crate::{BlockMap, Device, Error, Recorder};
 
+/// Workgroups that clear blocks, one block at a time each: a list is rarely as long as it may be.
+const CLEARED_AT_ONCE: u64 = 256;
+
 /// The stage's pipelines.
 #[derive(Debug)]
 pub struct Hash {
@@ -104,7 +107,7 @@ impl Hash {
             for (voxels, page) in plane.pages.iter().zip(0..) {
                 let params = hash::clear::Params { page, page_shift: map.page_shift(), unused: 0, block_words };
                 let bindings = hash::clear::Bindings { params, blocks: list, voxels, count };
-                recorder.dispatch(&self.clear, &bindings, Groups::linear(room.into(), 1));
+                recorder.dispatch(&self.clear, &bindings, Groups::linear(u64::from(room).min(CLEARED_AT_ONCE), 1));
             }
         }
     }

@@ -29,6 +29,9 @@ pub fn age_of_bin(bin: usize) -> u32 {
     }
 }
 
+/// Workgroups that gather blocks, one block at a time each: a list is rarely as long as it may be.
+const GATHERED_AT_ONCE: u64 = 256;
+
 /// The stage's pipelines.
 #[derive(Debug)]
 pub struct Swap {
@@ -272,7 +275,8 @@ impl Swap {
                     plane: words,
                     transfer: &transfer.words,
                 };
-                recorder.dispatch(&self.gather, &bindings, Groups::linear(transfer.room.into(), 1));
+                let groups = u64::from(transfer.room).min(GATHERED_AT_ONCE);
+                recorder.dispatch(&self.gather, &bindings, Groups::linear(groups, 1));
             }
             plane_start += plane_words;
         }
