@@ -75,6 +75,8 @@ struct Waiting {
     found: Found,
     times: Vec<StageTimes>,
     most_leaving: u32,
+    /// Whether it has been told already what became of the frame.
+    reported: bool,
 }
 
 /// What a frame left behind on the device.
@@ -126,6 +128,19 @@ impl Waiting {
             Found::Read(record, moved) => Ok((record, moved)),
             Found::OnDevice(..) => unreachable!("it was just read"),
         }
+    }
+}
+
+impl Waiting {
+    /// What became known of the frame, told once.
+    fn late(&mut self, device: &Device) -> Result<Late, Error> {
+        self.reported = true;
+        let record = *self.read(device)?.0;
+        let mut stage_ms = Vec::new();
+        for times in self.times.drain(..) {
+            stage_ms.extend(times.read(device)?);
+        }
+        Ok(Late { frame: self.frame, record, stage_ms })
     }
 }
 
@@ -278,6 +293,8 @@ impl Mapper {
                 found: Found::Read(FrameRecord::from_words(frame.record), moved),
                 times: Vec::new(),
                 most_leaving: frame.most_leaving,
+                // By the session that was saved.
+                reported: true,
             });
         }
         self.demand = state.demand;
@@ -330,33 +347,27 @@ impl Mapper {
     pub(crate) fn consume(&mut self) -> Result<Option<Late>, Error> {
         self.frames += 1;
         let due = self.waiting.front().is_some_and(|w| w.place + RECORD_DELAY <= self.frames);
-        let Some(waiting) = due.then(|| self.waiting.pop_front()).flatten() else { return Ok(None) };
-        let late = self.take(waiting)?;
+        let Some(mut waiting) = due.then(|| self.waiting.pop_front()).flatten() else { return Ok(None) };
+        let reported = waiting.reported;
+        let late = waiting.late(&self.device)?;
+        let (_, moved) = waiting.read(&self.device)?;
+        let moved = std::mem::take(moved);
+        if let Some(swapped) = &mut self.swapped {
+            let _placed = swapped.settle(moved)?;
+        }
         self.demand = late.record.requested.max(self.demand - self.demand / 8);
         self.make_room(&late.record)?;
         self.decide_what_leaves(&late.record);
         // Walking over the traces of removed blocks makes look-ups slow.
         self.rebuild |= late.record.tombstones > self.map.hash_slots() / 4;
-        Ok(Some(late))
+        Ok((!reported).then_some(late))
     }
 
-    /// Everything that has not been consumed yet, at the end of a run.
-    pub(crate) fn drain(&mut self) -> Result<Vec<Late>, Error> {
-        let waiting = std::mem::take(&mut self.waiting);
-        waiting.into_iter().map(|w| self.take(w)).collect()
-    }
-
-    fn take(&mut self, mut waiting: Waiting) -> Result<Late, Error> {
-        let (record, moved) = waiting.read(&self.device)?;
-        let (record, moved) = (*record, std::mem::take(moved));
-        if let Some(swapped) = &mut self.swapped {
-            let _placed = swapped.settle(moved)?;
-        }
-        let mut stage_ms = Vec::new();
-        for times in waiting.times {
-            stage_ms.extend(times.read(&self.device)?);
-        }
-        Ok(Late { frame: waiting.frame, record, stage_ms })
+    /// What is known at the end of a run of frames that have not been reported yet. They are still taken over at their time,
+    /// should the run go on.
+    pub(crate) fn report_early(&mut self) -> Result<Vec<Late>, Error> {
+        let unreported = self.waiting.iter_mut().filter(|waiting| !waiting.reported);
+        unreported.map(|waiting| waiting.late(&self.device)).collect()
     }
 
     /// Whether the map holds all the blocks that it may.
@@ -497,6 +508,7 @@ impl Mapper {
             most_leaving: motion.most_leaving,
             found: Found::OnDevice(record, Box::new(motion)),
             times,
+            reported: false,
         });
         Ok(true)
     }

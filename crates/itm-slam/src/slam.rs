@@ -428,7 +428,7 @@ impl Slam {
     /// # Errors
     /// Where the device fails.
     pub fn finish(&mut self) -> Result<Vec<FrameReport>, Error> {
-        let late = self.mapper.drain()?;
+        let late = self.mapper.report_early()?;
         Ok(late.into_iter().map(|l| self.report(l)).collect())
     }
 
