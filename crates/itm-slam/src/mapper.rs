@@ -129,9 +129,7 @@ impl Waiting {
             Found::OnDevice(..) => unreachable!("it was just read"),
         }
     }
-}
 
-impl Waiting {
     /// What became known of the frame, told once.
     fn late(&mut self, device: &Device) -> Result<Late, Error> {
         self.reported = true;
