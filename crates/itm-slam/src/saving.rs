@@ -25,7 +25,7 @@ const FREE_BLOCKS: Tag = *b"FREE";
 const PENDING: Tag = *b"PEND";
 const LAST_SEEN: Tag = *b"SEEN";
 /// Blocks that have left the device but are not in the host's store yet.
-const LEFT: Tag = *b"LEFT";
+pub(crate) const LEFT: Tag = *b"LEFT";
 /// Points and normals of the model that the next frame is tracked against.
 const MODEL: Tag = *b"MODL";
 /// Points with the colours of the frame before, and of the map.
