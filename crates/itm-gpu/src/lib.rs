@@ -19,6 +19,7 @@ mod map;
 pub mod mesh;
 pub mod normals;
 pub mod photometric;
+pub mod query;
 pub mod ranges;
 pub mod raycast;
 mod recorder;
