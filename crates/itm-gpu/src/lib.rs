@@ -8,6 +8,7 @@
 //! [`mod@reference`], its tests and its column in the timings.
 
 pub mod allocate;
+pub mod changed;
 pub mod confidence;
 mod device;
 mod error;

@@ -27,6 +27,7 @@ mod decimate;
 mod error;
 mod frame_result;
 mod mapper;
+mod robot;
 mod saved;
 mod saving;
 mod session;
@@ -36,7 +37,7 @@ mod swapping;
 pub mod tracking;
 mod views;
 
-pub use chunked_mesh::{MeshOptions, mesh_in_chunks};
+pub use chunked_mesh::{MeshOptions, mesh_blocks, mesh_in_chunks, with_neighbours};
 pub use decimate::{DecimateError, decimate};
 pub use error::Error;
 pub use frame_result::{FrameReport, FrameResult, FrameStatus, Notice};

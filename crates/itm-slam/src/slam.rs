@@ -16,6 +16,7 @@ use itm_gpu::{Device, RaycastImage, Recorder, StageTimes, View};
 use crate::Error;
 use crate::frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
 use crate::mapper::{Late, Mapper};
+use crate::robot::Questions;
 use crate::tracking::{
     Against, Age, CHECK_LEVELS, ModelObjective, Moment, Motion, Tracked, Tracker, Verdict, colour_offset,
 };
@@ -46,7 +47,7 @@ pub struct Slam {
     pub(crate) age: Age,
     pub(crate) mapper: Mapper,
     render: Render,
-    extract: Extract,
+    pub(crate) extract: Extract,
     /// The map as seen from the last fused pose.
     pub(crate) model: RaycastImage,
     pub(crate) world_from_model: Option<Se3>,
@@ -57,6 +58,8 @@ pub struct Slam {
     pub(crate) trajectory: Trajectory,
     /// One more than the number of the last frame.
     pub(crate) next_frame: u64,
+    /// What answers questions about the map; made when first asked.
+    pub(crate) questions: Option<Questions>,
 }
 
 impl std::fmt::Debug for Slam {
@@ -111,6 +114,7 @@ impl Slam {
             to_recover: 0,
             trajectory: Trajectory::default(),
             next_frame: 0,
+            questions: None,
         })
     }
 
