@@ -169,11 +169,13 @@ impl BlockSource for LiveBlocks<'_> {
 
 impl Slam {
     /// The signed distance of each point (world frame, metres) from the nearest surface, in metres: positive in front of
-    /// surfaces, negative behind them. `None` where one of the eight voxels around the point was never seen, and where the point
-    /// is no number or out of the map's reach. Blocks that have left the device are asked too. Waits.
+    /// surfaces, negative behind them. Blocks that have left the device are asked too. Waits.
     ///
-    /// Distances are truncated: further than `map.truncation_m` from a surface, seen space has that value, and behind a surface
-    /// little more than the band is known at all. A step of that length is therefore always safe where the answer is positive.
+    /// `None` where one of the eight voxels around the point was never seen, and where the point is no number or out of the
+    /// map's reach. The map keeps blocks around surfaces only: there is no answer in free space that is further from all
+    /// surfaces than their blocks reach either, nor behind a surface beyond the truncation band. Distances are truncated: within
+    /// the blocks, what is further than `map.truncation_m` from a surface has that value. They were measured along the
+    /// cameras' rays, and are therefore rather too large in front of surfaces that were seen from the side only.
     ///
     /// ```no_run
     /// # use itm_slam::{Error, Slam};
