@@ -26,6 +26,7 @@ const VARIANTS: &[(&str, &[Choice])] = &[
     ("query", &[F32, PAGES]),
     ("raycast", &[F32, PAGES]),
     ("render/colour", &[PAGES]),
+    ("swap/empty", &[F32]),
     // Colours, confidences, distances of both kinds.
     ("swap/merge", &[&[&[], &["confidences"], &["distances"], &["f32", "distances"]]]),
 ];

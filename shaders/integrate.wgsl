@@ -3,7 +3,7 @@
 // words; eight blocks a workgroup.
 import package::shared::camera::{Camera, project, inside};
 import package::shared::map::{Map, VISIBLE, BLOCK_VOXELS, unpack_position};
-import package::shared::distance::{Voxel, unpack_distance, unpack_weight, pack_distance};
+import package::shared::distance::{Voxel, NEARLY_EMPTY, unpack_distance, unpack_weight, pack_distance};
 
 struct Params {
     depth_camera: Camera,
@@ -36,8 +36,6 @@ struct Params {
 @if(confidence) @group(0) @binding(9) var<storage, read_write> confidences: array<f32>;
 
 // What the best observation adds to a weight by noise.
-// Distances (in truncation bands) above this claim no surface.
-const NEARLY_EMPTY: f32 = 0.95;
 @if(confidence) const BEST_OBSERVATION: f32 = 16.0;
 
 @if(colour) fn texel(x: u32, y: u32) -> vec4<f32> {

@@ -12,6 +12,9 @@ import package::shared::grid::find_in_grid;
 @if(pages3) @group(1) @binding(5) var<storage, read> distance2: array<Voxel>;
 @if(pages4) @group(1) @binding(6) var<storage, read> distance3: array<Voxel>;
 
+// Distances (in truncation bands) above this claim no surface.
+const NEARLY_EMPTY: f32 = 0.95;
+
 const STEP: f32 = 1.0 / 32767.5;
 
 fn unpack_distance(voxel: Voxel) -> f32 {

@@ -1,6 +1,12 @@
 //! Maps that are saved and loaded, and maps that do not all lie on the device.
 
-use itm_slam::{Device, FrameStatus, Notice, Poses, SavedSession, Se3, Settings, Slam, Swapping, Trajectory};
+use std::collections::HashMap;
+
+use glam::{IVec3, Vec3};
+use itm_slam::{
+    Calibration, DepthConversion, DepthImage, Device, Frame, FrameStatus, Image, Intrinsics, MapIndex, Notice, Poses,
+    SavedSession, Se3, Settings, Shading, Slam, Swapping, Timestamp, Trajectory,
+};
 use itm_synth::{Path, Sequence};
 use itm_tests::{device, sequence};
 
@@ -83,12 +89,112 @@ fn a_map_beyond_the_devices_budget_is_the_same_map() {
         assert!(bounded.map_bytes() < bytes, "{} and {bytes} bytes", bounded.map_bytes());
         let apart = apart(unbounded.trajectory(), bounded.trajectory());
         assert!(apart < 1e-3, "{apart} m apart");
+        // The whole map is meshed and seen, wherever its blocks lie.
+        let mesh = |slam: &mut Slam| slam.mesh(&mut |_, _| ()).expect("a mesh");
+        let (of_all, of_both) = (mesh(&mut unbounded), mesh(&mut bounded));
+        for (a, b) in [(&of_all, &of_both), (&of_both, &of_all)] {
+            let near = share_near(&a.positions, &b.positions, 0.02);
+            assert!(near >= 0.99, "{near} of the vertices are near the other mesh");
+        }
+        let camera = sequence.calibration().depth;
+        let first = sequence.frames().next().and_then(|frame| frame.world_from_camera).expect("a pose");
+        let seen = |slam: &mut Slam| {
+            let from = slam.trajectory().poses().first().expect("a pose").world_from_camera;
+            let picture = slam.render(&camera, &from, 4.0, Shading::Grey).expect("a picture");
+            picture.data().iter().filter(|pixel| pixel[3] > 0).count()
+        };
+        let (a, b) = (seen(&mut unbounded), seen(&mut bounded));
+        assert!(a > 10_000 && a.abs_diff(b) < 200, "{a} and {b} pixels from {first:?}");
         // Without swapping the same budget is too small, and says so.
         let mut off = settings(3.0);
         off.map.swapping = Swapping::Off;
         let mut full = start(&device, &sequence, &off, poses);
         assert!(process(&mut full, &sequence, 0..80));
     }
+}
+
+/// The share of points that have one of others within a distance.
+fn share_near(points: &[Vec3], others: &[Vec3], distance: f32) -> f64 {
+    let cell = |p: Vec3| (p / distance).floor().as_ivec3();
+    let mut cells: HashMap<IVec3, Vec<Vec3>> = HashMap::new();
+    for other in others {
+        cells.entry(cell(*other)).or_default().push(*other);
+    }
+    let near = |point: &&Vec3| {
+        let around = (0..27).map(|i| cell(**point) + IVec3::new(i % 3, i / 3 % 3, i / 9) - 1);
+        around.filter_map(|c| cells.get(&c)).flatten().any(|other| other.distance(**point) <= distance)
+    };
+    points.iter().filter(near).count() as f64 / points.len() as f64
+}
+
+#[test]
+fn a_dense_volume_holds_the_same_surface() {
+    let Some(device) = device() else { return };
+    let sequence = sequence(Path::Arc, (160, 120), 8);
+    let mut hashed = start(&device, &sequence, &settings(0.0), Poses::Given);
+    process(&mut hashed, &sequence, 0..8);
+    let expected = hashed.mesh(&mut |_, _| ()).expect("a mesh");
+    let (lo, hi) = expected.bounds().expect("vertices");
+    let mut dense = settings(0.0);
+    dense.map.index = MapIndex::Dense;
+    let blocks = |v: f32| (v / 0.16).floor() as i32;
+    let first = [blocks(lo.x) - 1, blocks(lo.y) - 1, blocks(lo.z) - 1];
+    let last = [blocks(hi.x) + 1, blocks(hi.y) + 1, blocks(hi.z) + 1];
+    dense.map.dense.offset = first.map(|block| 8 * block);
+    dense.map.dense.size = std::array::from_fn(|i| 8 * (last[i] - first[i] + 1) as u32);
+    let mut slam = start(&device, &sequence, &dense, Poses::Given);
+    process(&mut slam, &sequence, 0..8);
+    let found = slam.mesh(&mut |_, _| ()).expect("a mesh");
+    let near = share_near(&expected.positions, &found.positions, 1e-5);
+    assert!(near == 1.0, "{near} of the surface");
+    // Half of the box: what lies outside is not kept, and nothing waits for it.
+    dense.map.dense.size[0] = (dense.map.dense.size[0] / 16).max(1) * 8;
+    let mut half = start(&device, &sequence, &dense, Poses::Given);
+    assert!(!process(&mut half, &sequence, 0..8));
+    let vertices = half.mesh(&mut |_, _| ()).expect("a mesh").positions.len();
+    assert!(vertices > 0 && vertices < found.positions.len(), "{vertices} of {}", found.positions.len());
+    // It tracks, too.
+    dense.map.dense.offset = [-96, -96, -8];
+    dense.map.dense.size = [192, 192, 224];
+    let mut tracked = start(&device, &sequence, &dense, Poses::Tracked);
+    process(&mut tracked, &sequence, 0..8);
+    assert_eq!(tracked.trajectory().len(), 8);
+}
+
+/// A box before a wall that is carried away: with `map.empty_loss` its surface is forgotten and its blocks are freed.
+#[test]
+fn what_is_carried_away_disappears() {
+    let Some(device) = device() else { return };
+    let camera = Intrinsics::new(160, 120, 140.0, 140.0, 79.5, 59.5);
+    let calibration = Calibration::registered(camera, DepthConversion::MILLIMETRES);
+    let frame = |index: u64, there: bool| {
+        let depth = Image::from_fn(160, 120, |x, y| {
+            let on_box = there && (50..110).contains(&x) && (40..90).contains(&y);
+            if on_box { 1.2_f32 } else { 2.0 }
+        });
+        let mut frame = Frame::new(index, Timestamp(index as i64 * 33_333_333), DepthImage::Metres(depth), None);
+        frame.world_from_camera = Some(Se3::IDENTITY);
+        frame
+    };
+    let run = |empty_loss: u16, with_box: bool| {
+        let mut settings = settings(0.0);
+        settings.map.empty_loss = empty_loss;
+        let mut slam = Slam::new(&device, &calibration, &settings, Poses::Given).expect("a map");
+        (0..60).for_each(|i| drop(slam.process(&frame(i, with_box)).expect("a result")));
+        (60..95).for_each(|i| drop(slam.process(&frame(i, false)).expect("a result")));
+        let blocks = slam.saved_blocks().expect("the device answers");
+        let mesh = slam.mesh(&mut |_, _| ()).expect("a mesh");
+        let on_box = mesh.positions.iter().filter(|p| p.z < 1.6).count();
+        let on_wall = mesh.positions.iter().filter(|p| p.z > 1.9).count();
+        (blocks, on_box, on_wall)
+    };
+    let (blocks, on_box, on_wall) = run(10, true);
+    assert_eq!(on_box, 0, "the box is still there");
+    assert!(on_wall > 2_000, "{on_wall} vertices on the wall");
+    let (of_wall, ..) = run(10, false);
+    assert!(blocks < of_wall + 6, "{blocks} blocks, {of_wall} where there never was a box");
+    let (with_box, on_box, _) = run(0, true);
+    assert!(on_box > 200 && with_box > of_wall + 10, "{on_box} vertices, {with_box} blocks but {of_wall}");
 }
 
 #[test]

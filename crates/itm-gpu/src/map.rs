@@ -347,12 +347,7 @@ impl BlockMap {
             index += now.len() as u32;
             rest = later;
         }
-        queue.write_buffer(&self.counters, u64::from(counter::BLOCKS) * 4, bytemuck::bytes_of(&count));
-        let device = self.device.clone();
-        let mut recorder = Recorder::new(&device);
-        crate::hash::Hash::new(&device).rebuild(&mut recorder, self);
-        let _untimed = recorder.submit();
-        device.wait()
+        self.finish_insertion(count)
     }
 
     /// Writes the voxels of blocks whose indices follow one another within a page.
@@ -371,6 +366,31 @@ impl BlockMap {
 
     pub(crate) fn device(&self) -> &Device {
         &self.device
+    }
+
+    /// Appends blocks of space never seen, as many at once as there are: see [`BlockMap::insert_blocks`].
+    ///
+    /// # Errors
+    /// As [`BlockMap::insert_blocks`].
+    pub fn insert_empty(&mut self, keys: &[BlockKey]) -> Result<(), Error> {
+        let first = self.read_record()?.blocks;
+        let wanted = u64::from(first) + keys.len() as u64;
+        let limit = self.max_capacity();
+        let count = u32::try_from(wanted).ok().filter(|&count| count <= limit);
+        let count = count.ok_or(Error::TooManyBlocks { wanted, limit })?;
+        self.grow(count)?;
+        let packed: Vec<[u32; 2]> = keys.iter().map(|key| key.pack()).collect();
+        self.device.queue.write_buffer(&self.keys, u64::from(first) * 8, bytemuck::cast_slice(&packed));
+        self.finish_insertion(count)
+    }
+
+    fn finish_insertion(&mut self, count: u32) -> Result<(), Error> {
+        let device = self.device.clone();
+        device.queue.write_buffer(&self.counters, u64::from(counter::BLOCKS) * 4, bytemuck::bytes_of(&count));
+        let mut recorder = Recorder::new(&device);
+        crate::hash::Hash::new(&device).rebuild(&mut recorder, self);
+        let _untimed = recorder.submit();
+        device.wait()
     }
 
     /// Lays the grid around a view: from now on it covers every block that the camera can see between its nearest and

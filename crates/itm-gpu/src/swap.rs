@@ -38,6 +38,9 @@ pub struct Swap {
     scan: Scan,
     list: Pipeline,
     gather: Gather,
+    /// By kind of distance.
+    empty: [OnceLock<Pipeline>; 2],
+    count: Pipeline,
     place: Pipeline,
     /// Colours, confidences, distances of 16 bits and in single precision.
     merge: [OnceLock<Pipeline>; 4],
@@ -189,6 +192,8 @@ impl Swap {
             scan: Scan::new(device),
             list: Pipeline::plain(device, &swap::list::PASS),
             gather: Gather::new(device),
+            empty: Default::default(),
+            count: Pipeline::plain(device, &swap::count::PASS),
             place: Pipeline::plain(device, &swap::place::PASS),
             merge: Default::default(),
             hash: Hash::new(device),
@@ -278,6 +283,35 @@ impl Swap {
         self.hash.remove_listed(recorder, map, &transfer.listed, &transfer.count, transfer.room);
     }
 
+    /// Records the removal of those of the visible blocks that hold nothing: no voxel that was seen near a surface or behind
+    /// one. At most as many as a transfer holds. The grid and the visible list are stale afterwards.
+    pub fn record_emptied(&self, recorder: &mut Recorder, map: &BlockMap, transfer: &Transfer) {
+        recorder.stage("swap");
+        let chunks = map.capacity().div_ceil(32);
+        recorder.clear(&map.visible_bits, map.visible_bits.size());
+        let which = usize::from(map.layout().kind.distance == DistanceKind::F32);
+        let pipeline = self.empty[which]
+            .get_or_init(|| Pipeline::new(&self.device, &swap::empty::PASS, map.distance_features(), &[]));
+        for (distances, page) in map.distances().iter().zip(0..) {
+            let bindings = swap::empty::Bindings {
+                params: swap::empty::Params { page, page_shift: map.page_shift() },
+                counters: &map.counters,
+                visible: &map.visible,
+                distances,
+                bits: &map.visible_bits,
+            };
+            recorder.dispatch(pipeline, &bindings, Groups::linear(map.capacity().into(), 64));
+        }
+        let bindings = swap::count::Bindings {
+            params: swap::count::Params { chunks },
+            bits: &map.visible_bits,
+            counts: &map.visible_counts,
+        };
+        recorder.dispatch(&self.count, &bindings, Groups::linear(chunks.into(), 64));
+        self.list_marked(recorder, map, transfer, transfer.room);
+        self.hash.remove_listed(recorder, map, &transfer.listed, &transfer.count, transfer.room);
+    }
+
     fn list_leaving(
         &self,
         recorder: &mut Recorder,
@@ -299,6 +333,12 @@ impl Swap {
             counts: &map.visible_counts,
         };
         recorder.dispatch(&self.select, &bindings, Groups::linear(chunks.into(), 64));
+        self.list_marked(recorder, map, transfer, most);
+    }
+
+    /// Lists the blocks that are marked in the map's bits, and counted.
+    fn list_marked(&self, recorder: &mut Recorder, map: &BlockMap, transfer: &Transfer, most: u32) {
+        let chunks = map.capacity().div_ceil(32);
         let total = Total {
             counters: &transfer.count,
             slot: 0,

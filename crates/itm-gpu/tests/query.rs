@@ -10,6 +10,9 @@ use itm_gpu::{BlockMap, Device, HostBlock, MapLayout, reference};
 use proptest::prelude::*;
 use rand::SeedableRng as _;
 
+type Distance<'a> = &'a dyn Fn(Vec3) -> f32;
+type Slope<'a> = &'a dyn Fn(Vec3) -> Vec3;
+
 /// Positions carry a few roundings of single precision; in voxels, up to a thousand from the origin.
 const MARGIN: f64 = 1e-3;
 
@@ -110,7 +113,7 @@ fn the_distances_of_a_plane_and_a_sphere_are_exact_to_a_hundredth_of_a_voxel() {
     // In voxels.
     let plane = |p: Vec3| normal.dot(p) - 3.2;
     let sphere = |p: Vec3| p.distance(centre) - 60.0;
-    let shapes: [(i32, &dyn Fn(Vec3) -> f32, &dyn Fn(Vec3) -> Vec3); 2] =
+    let shapes: [(i32, Distance<'_>, Slope<'_>); 2] =
         [(3, &plane, &|_| normal), (9, &sphere, &|p| (p - centre).normalize())];
     for ((reach, distance, slope), float) in shapes.into_iter().flat_map(|s| [(s, false), (s, true)]) {
         let mut map = reference::Map::new(voxel_size_m, band * voxel_size_m);

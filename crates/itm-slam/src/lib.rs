@@ -26,6 +26,7 @@ mod chunks;
 mod decimate;
 mod error;
 mod frame_result;
+mod live;
 mod mapper;
 mod robot;
 mod saved;

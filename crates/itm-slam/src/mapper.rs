@@ -1,9 +1,10 @@
 //! The map's life: when pools grow, and which stages a frame's fusion takes.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
+use glam::{IVec3, UVec3};
 use itm_core::voxel::{BEST_OBSERVATION, BlockKey, VoxelKind};
-use itm_core::{Calibration, Intrinsics, ObservationWeight, Se3, Settings, Swapping};
+use itm_core::{Calibration, DenseSettings, Intrinsics, MapIndex, ObservationWeight, Se3, Settings, Swapping};
 use itm_gpu::allocate::Allocate;
 use itm_gpu::changed::Changed;
 use itm_gpu::confidence::Confidence;
@@ -12,7 +13,7 @@ use itm_gpu::integrate::{Integrate, IntegrateOptions};
 use itm_gpu::normals::Normals;
 use itm_gpu::ranges::Ranges;
 use itm_gpu::raycast::Raycast;
-use itm_gpu::swap::{AGE_BINS, Arrivals, Left, PlacesReader};
+use itm_gpu::swap::{AGE_BINS, Arrivals, Gather, Left, PlacesReader, Swap, Transfer};
 use itm_gpu::visible::Visible;
 use itm_gpu::{
     BlockMap, Device, FrameRecord, HostBlock, MapLayout, MapState, RaycastImage, RecordReader, Recorder, StageTimes,
@@ -22,11 +23,15 @@ use itm_io::map_file::{MapReader, Tag};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::live::LiveMap;
 use crate::swapping::{InMotion, Moved, Swapped, Viewed};
 
 /// A frame's record is consumed at this many frames later, whenever it arrived, so that growth happens at the same frame
 /// in every run.
 const RECORD_DELAY: u64 = 2;
+/// So often, in frames, blocks that hold nothing any more are removed, and so many at once.
+const SWEEP_EVERY: u64 = 30;
+const SWEPT_AT_ONCE: u32 = 4096;
 
 /// The map and the stages that fill and show it.
 pub(crate) struct Mapper {
@@ -52,6 +57,8 @@ pub(crate) struct Mapper {
     limit: u32,
     /// The host's part of the map, where blocks may leave the device.
     pub(crate) swapped: Option<Swapped>,
+    /// Removes blocks that hold nothing any more, where surfaces that are seen through are forgotten.
+    sweep: Option<(Swap, Transfer)>,
     /// Views that blocks were swapped for so far; ages count them.
     clock: u32,
     /// What the next frame has leave: how many at most, and from which age on.
@@ -59,6 +66,7 @@ pub(crate) struct Mapper {
     /// Whether the hash holds so many traces of removed blocks that it is to be rebuilt.
     rebuild: bool,
     hash: Hash,
+    gather: Gather,
     /// Where blocks remember what changed them.
     changed: Option<Changed>,
 }
@@ -156,10 +164,17 @@ impl Mapper {
             limit => limit.clamp(1, map.max_capacity()),
         };
         map.grow(settings.map.initial_blocks.min(limit))?;
-        let swaps = settings.map.swapping != Swapping::Off;
+        let dense = settings.map.index == MapIndex::Dense;
+        if dense {
+            map.insert_empty(&blocks_of_box(&settings.map.dense))?;
+        }
+        let swaps = settings.map.swapping != Swapping::Off && !dense;
         let margin_m = if swaps { settings.map.swap_margin_m } else { 0.0 };
         map.check_view(&calibration.depth, settings.view.max_depth_m, settings.map.truncation_m.max(margin_m))?;
         let swapped = swaps.then(|| Swapped::new(device, &map, &settings.map, largest_weight(settings)));
+        let map_capacity = map.capacity();
+        let sweeps = settings.map.empty_loss > 0 && !dense;
+        let sweep = sweeps.then(|| (Swap::new(device), Transfer::new(device, &map, SWEPT_AT_ONCE)));
         Ok(Self {
             device: device.clone(),
             calibration: *calibration,
@@ -176,12 +191,14 @@ impl Mapper {
             demand: 0,
             empty: true,
             frames: 0,
-            limit,
+            limit: if dense { map_capacity } else { limit },
             swapped,
+            sweep,
             clock: 0,
             leaving: None,
             rebuild: false,
             hash: Hash::new(device),
+            gather: Gather::new(device),
             changed: settings.map.track_changes.then(|| Changed::new(device)),
         })
     }
@@ -217,6 +234,31 @@ impl Mapper {
             arriving: swapped.map(|s| s.arriving.iter().copied().collect()).unwrap_or_default(),
             waiting,
         })
+    }
+
+    /// The blocks wherever they lie; `None` where all of them lie on the device.
+    pub(crate) fn live(&mut self) -> Result<Option<LiveMap<'_>>, Error> {
+        self.read_moved()?;
+        let live = self.live_map()?;
+        Ok((!live.is_on_device()).then_some(live))
+    }
+
+    /// The blocks wherever they lie, once [`Mapper::read_moved`] has read what is on its way.
+    pub(crate) fn live_map(&self) -> Result<LiveMap<'_>, Error> {
+        let store = self.swapped.as_ref().map(|swapped| &swapped.store);
+        let on_device = self.map.read_keys()?.into_iter().flatten().map(BlockKey::pack).collect();
+        let mut live = LiveMap {
+            map: &self.map,
+            hash: &self.hash,
+            gather: &self.gather,
+            store,
+            superseded: BTreeSet::new(),
+            left: BTreeMap::new(),
+            max_weight: largest_weight(&self.settings),
+            on_device,
+        };
+        self.moved().for_each(|moved| live.add(moved));
+        Ok(live)
     }
 
     /// What has left the device but is not in the store yet, once [`Mapper::state`] has read it.
@@ -401,7 +443,13 @@ impl Mapper {
         let swapping = self.swaps();
         let margin_m = if swapping { truncation_m.max(self.settings.map.swap_margin_m) } else { truncation_m };
         self.map.lay_grid(&camera, world_from_camera, far_m, margin_m)?;
-        if self.empty {
+        let dense = self.settings.map.index == MapIndex::Dense;
+        if self.empty && dense {
+            if view.read_depth(&self.device, 0)?.data().iter().all(|z| *z <= 0.0) {
+                return Ok(false);
+            }
+            self.empty = false;
+        } else if self.empty {
             // The first frame asks for more blocks than any other. Nothing waits for it yet, so room is made at once.
             let mut recorder = Recorder::new(&self.device);
             self.allocate.record(&mut recorder, &self.map, view, world_from_camera);
@@ -429,7 +477,11 @@ impl Mapper {
             arrivals = self.bring(&viewed)?;
         }
         let arriving = arrivals.as_ref().map(|(_, arrivals)| arrivals);
-        self.allocate.record_with(&mut recorder, &self.map, Some((view, world_from_camera)), arriving);
+        if dense {
+            self.allocate.fill_grid(&mut recorder, &self.map);
+        } else {
+            self.allocate.record_with(&mut recorder, &self.map, Some((view, world_from_camera)), arriving);
+        }
         if let Some((keys, arrivals)) = arrivals {
             motion.places = self.record_merge(&mut recorder, &keys, &arrivals).map(|places| (keys, places));
         }
@@ -445,6 +497,13 @@ impl Mapper {
         self.integrate.record(&mut recorder, &self.map, view, &calibration, world_from_camera, &options);
         if let Some(changed) = &self.changed {
             changed.record(&mut recorder, &self.map, self.clock_of_changes());
+        }
+        if let Some((stage, transfer)) = &self.sweep
+            && self.frames.is_multiple_of(SWEEP_EVERY)
+        {
+            stage.record_emptied(&mut recorder, &self.map, transfer);
+            self.allocate.fill_grid(&mut recorder, &self.map);
+            self.visible.record(&mut recorder, &self.map, &camera, world_from_camera, near, far);
         }
         self.ranges.record(&mut recorder, &self.map, model, world_from_camera);
         self.raycast.record(&mut recorder, &self.map, model, world_from_camera, [near_m, far]);
@@ -624,6 +683,17 @@ impl Mapper {
         let _untimed = recorder.submit();
         Ok(())
     }
+}
+
+/// The keys of all blocks of a dense map, x fastest.
+fn blocks_of_box(dense: &DenseSettings) -> Vec<BlockKey> {
+    let ([w, h, d], offset) = dense.blocks();
+    let first = IVec3::from_array(offset);
+    let at = |x: u32, y: u32, z: u32| first + UVec3::new(x, y, z).as_ivec3();
+    (0..d)
+        .flat_map(|z| (0..h).flat_map(move |y| (0..w).map(move |x| at(x, y, z))))
+        .map(|position| BlockKey { submap: 0, position })
+        .collect()
 }
 
 /// What the best observation adds to a voxel's weight.

@@ -3,22 +3,18 @@
 //! The map's blocks may lie on the device, in the host's store, or on their way there; what is answered here takes all of them
 //! into account, and leaves each where it is.
 
-use std::collections::{BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap};
 
 use glam::Vec3;
 use itm_core::Mesh;
-use itm_core::block::merge_blocks;
 use itm_core::sample::{Cell, Sample, block_of, distance_in_block};
 use itm_core::voxel::BlockKey;
-use itm_gpu::hash::Hash;
 use itm_gpu::query::Query;
-use itm_gpu::swap::{Gather, Left};
 use itm_gpu::{BlockMap, Device, MapLayout};
 
 use crate::chunked_mesh::mesh_some;
-use crate::mapper::Mapper;
+use crate::live::LiveMap;
 use crate::source::BlockSource;
-use crate::views::full_weight;
 use crate::{Error, MeshOptions, Slam};
 
 /// Points that are answered at a time on the host, which bounds the blocks in its memory.
@@ -28,72 +24,16 @@ const HOST_POINTS_AT_ONCE: usize = 4096;
 #[derive(Debug)]
 pub(crate) struct Questions {
     query: Query,
-    hash: Hash,
-    gather: Gather,
     part: BlockMap,
 }
 
 impl Questions {
     fn new(device: &Device, layout: MapLayout) -> Result<Self, Error> {
-        Ok(Self {
-            query: Query::new(device),
-            hash: Hash::new(device),
-            gather: Gather::new(device),
-            part: BlockMap::new(device, layout, 1)?,
-        })
+        Ok(Self { query: Query::new(device), part: BlockMap::new(device, layout, 1)? })
     }
 }
 
-/// A session's blocks between two frames, wherever they lie.
-struct LiveBlocks<'a> {
-    mapper: &'a Mapper,
-    hash: &'a Hash,
-    gather: &'a Gather,
-    max_weight: u16,
-    on_device: Vec<BlockKey>,
-    /// Blocks in the store that are on the device again, where they have been merged.
-    superseded: HashSet<[u32; 2]>,
-    /// Blocks on their way to the store: where each of one key lies in what left.
-    left: HashMap<[u32; 2], Vec<(&'a Left, usize)>>,
-}
-
-impl<'a> LiveBlocks<'a> {
-    /// Of a mapper that has read what is on its way ([`Mapper::read_moved`]).
-    fn new(slam: &'a Slam, hash: &'a Hash, gather: &'a Gather) -> Result<Self, Error> {
-        let (mapper, max_weight) = (&slam.mapper, full_weight(&slam.settings));
-        let mut superseded = HashSet::new();
-        let mut left: HashMap<[u32; 2], Vec<(&Left, usize)>> = HashMap::new();
-        for moved in mapper.moved() {
-            if let Some((keys, placed)) = &moved.places {
-                superseded.extend(keys.iter().zip(placed).filter(|(_, placed)| **placed).map(|(key, _)| key.pack()));
-            }
-            if let Some(some) = &moved.left {
-                for (index, key) in some.keys.iter().enumerate() {
-                    left.entry(key.pack()).or_default().push((some, index));
-                }
-            }
-        }
-        let on_device = mapper.map.read_keys()?.into_iter().flatten().collect();
-        Ok(Self { mapper, hash, gather, max_weight, on_device, superseded, left })
-    }
-
-    /// Whether the host has a part of a block that the device has not.
-    fn on_host(&self, key: BlockKey) -> bool {
-        self.left.contains_key(&key.pack()) || self.stored(key)
-    }
-
-    fn stored(&self, key: BlockKey) -> bool {
-        let there = self.mapper.swapped.as_ref().is_some_and(|swapped| swapped.store.contains(key));
-        there && !self.superseded.contains(&key.pack())
-    }
-
-    /// Whether all blocks lie on the device, and nowhere else.
-    fn host_is_empty(&self) -> bool {
-        self.left.is_empty() && self.mapper.swapped.as_ref().is_none_or(|swapped| swapped.store.is_empty())
-    }
-}
-
-impl LiveBlocks<'_> {
+impl LiveMap<'_> {
     /// Answers the points for which the device lacks a block, or a part of one, that the host has.
     fn answer(&mut self, points: &[Vec3], samples: &mut [Option<Sample>]) -> Result<(), Error> {
         let MapLayout { voxel_size_m, truncation_m, kind } = self.layout();
@@ -101,7 +41,7 @@ impl LiveBlocks<'_> {
         let mut asked = Vec::new();
         for (index, point) in points.iter().enumerate() {
             let cell = Cell::around(*point, voxel_size_m);
-            asked.extend(cell.filter(|cell| cell.blocks().any(|b| self.on_host(key(b)))).map(|cell| (index, cell)));
+            asked.extend(cell.filter(|cell| cell.blocks().any(|b| self.is_on_host(key(b)))).map(|cell| (index, cell)));
         }
         for some in asked.chunks(HOST_POINTS_AT_ONCE) {
             let needed: BTreeSet<[u32; 2]> =
@@ -117,50 +57,6 @@ impl LiveBlocks<'_> {
                     block.map_or((1.0, 0), |words| distance_in_block(kind, words, voxel))
                 });
                 samples[*index] = cell.interpolate(voxels, voxel_size_m, truncation_m);
-            }
-        }
-        Ok(())
-    }
-}
-
-impl BlockSource for LiveBlocks<'_> {
-    fn layout(&self) -> MapLayout {
-        *self.mapper.map.layout()
-    }
-
-    fn keys(&self) -> Vec<BlockKey> {
-        let stored = self.mapper.swapped.iter().flat_map(|swapped| swapped.store.keys());
-        let host = stored.map(BlockKey::pack).chain(self.left.keys().copied());
-        let all: BTreeSet<[u32; 2]> = host.chain(self.on_device.iter().map(|key| key.pack())).collect();
-        all.into_iter().map(BlockKey::unpack).collect()
-    }
-
-    fn read(&mut self, keys: &[BlockKey], words: &mut [u32]) -> Result<(), Error> {
-        let map = &self.mapper.map;
-        let kind = map.layout().kind;
-        let length = kind.block_words();
-        words.fill(0);
-        let places = self.hash.look_up(map, keys)?;
-        let found: Vec<(usize, u32)> =
-            places.into_iter().enumerate().filter_map(|(i, place)| Some((i, place?))).collect();
-        let indices: Vec<u32> = found.iter().map(|(_, index)| *index).collect();
-        let mut read = vec![0; indices.len() * length];
-        self.gather.read(map, &indices, &mut read)?;
-        for ((i, _), block) in found.iter().zip(read.chunks_exact(length)) {
-            words[i * length..(i + 1) * length].copy_from_slice(block);
-        }
-        // A block without weight has nothing to say, so that parts are merged into one of zeros too.
-        let mut part = vec![0; length];
-        for (key, into) in keys.iter().zip(words.chunks_exact_mut(length)) {
-            if self.stored(*key)
-                && let Some(swapped) = &self.mapper.swapped
-                && swapped.store.get(*key, &mut part)?
-            {
-                merge_blocks(kind, into, &part, self.max_weight);
-            }
-            for (left, index) in self.left.get(&key.pack()).into_iter().flatten() {
-                let part = &left.words[index * length..(index + 1) * length];
-                merge_blocks(kind, into, part, self.max_weight);
             }
         }
         Ok(())
@@ -183,8 +79,9 @@ impl Slam {
     /// use glam::Vec3;
     ///
     /// let path: Vec<Vec3> = (0..100).map(|i| Vec3::new(0.0, 0.0, 0.02 * i as f32)).collect();
-    /// let clear = slam.distances(&path)?.iter().all(|distance| distance.is_some_and(|metres| metres > 0.015));
-    /// println!("{}", if clear { "go on" } else { "stop" });
+    /// let distances = slam.distances(&path)?;
+    /// let clear = distances.iter().take_while(|distance| distance.is_none_or(|metres| metres > 0.015)).count();
+    /// println!("{clear} of {} points lie before the first surface", path.len());
     /// # Ok(())
     /// # }
     /// ```
@@ -218,8 +115,8 @@ impl Slam {
     pub fn samples(&mut self, points: &[Vec3]) -> Result<Vec<Option<Sample>>, Error> {
         self.ask(|questions, slam| {
             let mut samples = questions.query.run(&slam.mapper.map, points)?;
-            let mut blocks = LiveBlocks::new(slam, &questions.hash, &questions.gather)?;
-            if !blocks.host_is_empty() {
+            let mut blocks = slam.mapper.live_map()?;
+            if !blocks.is_on_device() {
                 blocks.answer(points, &mut samples)?;
             }
             Ok(samples)
@@ -232,11 +129,23 @@ impl Slam {
         self.mapper.frames()
     }
 
+    /// All blocks of the map, wherever they lie, in the order of their packed keys. Waits.
+    ///
+    /// # Errors
+    /// Where the device fails.
+    pub fn blocks(&mut self) -> Result<Vec<BlockKey>, Error> {
+        self.mapper.read_moved()?;
+        Ok(self.mapper.live_map()?.keys())
+    }
+
     /// The blocks that changed after the first so many frames ([`Slam::frames`]), in the order of their packed keys, wherever
     /// they lie now: those that were in the view of a frame that was fused, whether or not one of their voxels became another,
     /// and those that came back to the device and were merged there with what had been fused meanwhile. A change of place alone
-    /// is none. Blocks that are gone, as `map.swapping = "delete"` removes them, are not named: they just are not there any
-    /// more. Blocks of a map that a session began in ([`Slam::in_map`]) count once a frame changes them. Waits.
+    /// is none. Waits.
+    ///
+    /// Blocks that are gone, because they held nothing any more or `map.swapping` is `delete`, are not named: whoever keeps
+    /// something by block looks for them in [`Slam::blocks`]. Blocks of a map that a session began in ([`Slam::in_map`]) count
+    /// once a frame changes them.
     ///
     /// # Errors
     /// Where `map.track_changes` is off, or the device fails.
@@ -258,7 +167,8 @@ impl Slam {
     }
 
     /// The surface in some blocks as a mesh (world frame, metres): the triangles of just their cells, wherever the blocks and
-    /// those around them lie. Keys of blocks that are not there are passed over. Waits.
+    /// those around them lie. Keys of blocks that are not there are passed over. Device memory for the blocks and those around
+    /// them, at most that of [`MeshOptions::max_blocks`] by default, is kept for the next time. Waits.
     ///
     /// A cell reads voxels beyond its own block, so whoever keeps a mesh block by block makes those of
     /// [`crate::with_neighbours`] anew:
@@ -279,7 +189,7 @@ impl Slam {
     /// Where the device fails, the host's store cannot be read, or there are more vertices than 32 bits can number.
     pub fn mesh_of(&mut self, keys: &[BlockKey]) -> Result<Mesh, Error> {
         self.ask(|questions, slam| {
-            let mut blocks = LiveBlocks::new(slam, &questions.hash, &questions.gather)?;
+            let mut blocks = slam.mapper.live_map()?;
             let options = MeshOptions::default();
             mesh_some(&slam.extract, &mut questions.part, &mut blocks, keys, &options, &mut |_, _| ())
         })

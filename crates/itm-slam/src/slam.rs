@@ -14,12 +14,15 @@ use itm_gpu::view::{ViewOptions, ViewStage};
 use itm_gpu::{Device, RaycastImage, Recorder, StageTimes, View};
 
 use crate::Error;
+use crate::chunked_mesh::{MeshOptions, mesh_in_chunks};
 use crate::frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
 use crate::mapper::{Late, Mapper};
 use crate::robot::Questions;
+use crate::source::BlockSource as _;
 use crate::tracking::{
     Against, Age, CHECK_LEVELS, ModelObjective, Moment, Motion, Tracked, Tracker, Verdict, colour_offset,
 };
+use crate::views::MapViews;
 
 /// Where poses come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -433,12 +436,18 @@ impl Slam {
         Ok(late.into_iter().map(|l| self.report(l)).collect())
     }
 
-    /// The surface of the whole map as a mesh (world frame, metres). `progress` is called with blocks done and blocks in
+    /// The surface of the whole map, wherever its blocks lie, as a mesh (world frame, metres). `progress` is called with blocks done and blocks in
     /// all.
     ///
     /// # Errors
     /// Where the device fails.
     pub fn mesh(&mut self, progress: &mut dyn FnMut(u32, u32)) -> Result<Mesh, Error> {
+        let device = self.device.clone();
+        if let Some(mut live) = self.mapper.live()? {
+            let count = |n: u64| u32::try_from(n).unwrap_or(u32::MAX);
+            let mut told = |done, of| progress(count(done), count(of));
+            return mesh_in_chunks(&device, &mut live, &MeshOptions::default(), &mut told);
+        }
         Ok(self.extract.run(&self.mapper.map, &itm_gpu::mesh::Options::default(), progress)?)
     }
 
@@ -453,8 +462,14 @@ impl Slam {
         max_depth_m: f32,
         shading: Shading,
     ) -> Result<ColourImage, Error> {
-        let image = self.mapper.cast(camera, world_from_camera, max_depth_m)?;
         let scale = Scale { depth_m: [0.0, max_depth_m], confidence: crate::views::full_confidence(&self.settings) };
+        let device = self.device.clone();
+        if let Some(mut live) = self.mapper.live()? {
+            let mut views = MapViews::new(&device, live.layout(), 0, 1)?;
+            views.look(&mut live, camera, world_from_camera, max_depth_m)?;
+            return views.picture(shading, &scale);
+        }
+        let image = self.mapper.cast(camera, world_from_camera, max_depth_m)?;
         Ok(self.render.run(&self.mapper.map, &image, world_from_camera, shading, &scale)?)
     }
 }
