@@ -23,6 +23,7 @@ const VARIANTS: &[(&str, &[Choice])] = &[
     ("mesh/vertices", &[F32, COLOUR, CONFIDENCE]),
     ("photometric/map", &[PAGES]),
     ("photometric/sums", &[&[&[], &["rgb"]]]),
+    ("query", &[F32, PAGES]),
     ("raycast", &[F32, PAGES]),
     ("render/colour", &[PAGES]),
     ("swap/empty", &[F32]),

@@ -15,6 +15,7 @@ struct Params {
 @group(0) @binding(4) var<storage, read_write> free_blocks: array<u32>;
 @group(0) @binding(5) var<storage, read> count: array<u32>;
 @group(0) @binding(6) var<storage, read_write> last_seen: array<u32>;
+@group(0) @binding(7) var<storage, read_write> last_changed: array<u32>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -23,6 +24,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         remove_from_hash(params.map, keys[block], block);
         keys[block] = NO_KEY;
         last_seen[block] = 0u;
+        last_changed[block] = 0u;
         free_blocks[counters[FREE_BLOCKS] + i] = block;
     }
 }

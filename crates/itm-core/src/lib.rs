@@ -19,6 +19,7 @@ mod geometry;
 mod image;
 mod mesh;
 mod points;
+pub mod sample;
 mod se3;
 mod settings;
 mod trajectory;

@@ -97,6 +97,7 @@ impl Hash {
             free_blocks: &map.free_blocks,
             count,
             last_seen: &map.last_seen,
+            last_changed: &map.last_changed,
             slots: &map.hash,
         };
         recorder.dispatch(&self.remove, &bindings, Groups::linear(room.into(), 64));

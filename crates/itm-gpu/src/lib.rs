@@ -8,6 +8,7 @@
 //! [`mod@reference`], its tests and its column in the timings.
 
 pub mod allocate;
+pub mod changed;
 pub mod confidence;
 mod device;
 mod error;
@@ -19,6 +20,7 @@ mod map;
 pub mod mesh;
 pub mod normals;
 pub mod photometric;
+pub mod query;
 pub mod ranges;
 pub mod raycast;
 mod recorder;

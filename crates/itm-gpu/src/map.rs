@@ -97,6 +97,8 @@ pub struct BlockMap {
     pub(crate) fragment_counts: wgpu::Buffer,
     /// Of each block the last frame whose view reached it; see `swap`.
     pub(crate) last_seen: wgpu::Buffer,
+    /// Of each block the last frame that changed it; see `changed`.
+    pub(crate) last_changed: wgpu::Buffer,
     /// In the order of [`VoxelKind::block_words`]: distances, then colours and confidences where there are.
     pub(crate) planes: Vec<Plane>,
 }
@@ -199,6 +201,7 @@ impl BlockMap {
             boxes: empty(),
             fragment_counts: empty(),
             last_seen: empty(),
+            last_changed: empty(),
             planes,
         };
         map.grow(blocks)?;
@@ -239,6 +242,7 @@ impl BlockMap {
             &self.boxes,
             &self.fragment_counts,
             &self.last_seen,
+            &self.last_changed,
         ];
         pages.chain(rest).map(wgpu::Buffer::size).sum()
     }
@@ -285,6 +289,7 @@ impl BlockMap {
         replace(&mut self.boxes, "boxes", new * 16, 0);
         replace(&mut self.fragment_counts, "fragment counts", new * 4, 0);
         replace(&mut self.last_seen, "last seen", new * 4, old * 4);
+        replace(&mut self.last_changed, "last changed", new * 4, old * 4);
 
         let page_blocks = 1_u64 << self.page_shift;
         for plane in &mut self.planes {

@@ -22,6 +22,8 @@ pub struct MapState {
     pub pending: Vec<[u32; 2]>,
     /// Of each block index the last view that reached it; see [`crate::swap`].
     pub last_seen: Vec<u32>,
+    /// Of each block index the last frame that changed it; see [`crate::changed`].
+    pub last_changed: Vec<u32>,
 }
 
 impl FrameRecord {
@@ -55,6 +57,7 @@ impl BlockMap {
             free_blocks: self.read_some(&self.free_blocks, record.free_blocks)?,
             pending: self.read_some(&self.pending, record.pending)?,
             last_seen: self.read_some(&self.last_seen, record.blocks)?,
+            last_changed: self.read_some(&self.last_changed, record.blocks)?,
             counters,
         })
     }
@@ -118,6 +121,7 @@ impl BlockMap {
             && map.capacity() == state.capacity
             && blocks <= state.capacity as usize
             && state.last_seen.len() == blocks
+            && state.last_changed.len() == blocks
             && state.free_blocks.iter().all(|block| (*block as usize) < blocks)
             && counted(counter::BLOCKS) == Some(blocks)
             && counted(counter::FREE_BLOCKS) == Some(state.free_blocks.len())
@@ -131,6 +135,7 @@ impl BlockMap {
         queue.write_buffer(&map.free_blocks, 0, bytemuck::cast_slice(&state.free_blocks));
         queue.write_buffer(&map.pending, 0, bytemuck::cast_slice(&state.pending));
         queue.write_buffer(&map.last_seen, 0, bytemuck::cast_slice(&state.last_seen));
+        queue.write_buffer(&map.last_changed, 0, bytemuck::cast_slice(&state.last_changed));
         queue.write_buffer(&map.counters, 0, bytemuck::cast_slice(&state.counters));
         let mut recorder = Recorder::new(device);
         Hash::new(device).rebuild(&mut recorder, &map);

@@ -40,7 +40,7 @@ pub struct Swap {
     select: Pipeline,
     scan: Scan,
     list: Pipeline,
-    gather: Pipeline,
+    gather: Gather,
     /// By kind of distance.
     empty: [OnceLock<Pipeline>; 2],
     count: Pipeline,
@@ -61,6 +61,7 @@ pub struct Transfer {
     keys: wgpu::Buffer,
     count: wgpu::Buffer,
     words: wgpu::Buffer,
+    changed: wgpu::Buffer,
 }
 
 impl Transfer {
@@ -75,6 +76,7 @@ impl Transfer {
             keys: device.storage("transferred keys", u64::from(room) * 8),
             count: device.storage("transferred count", 16),
             words: device.storage("transferred voxels", u64::from(room) * block_bytes),
+            changed: device.storage("transferred changes", u64::from(room) * 4),
         }
     }
 
@@ -92,6 +94,16 @@ pub struct Arrivals {
 }
 
 impl Arrivals {
+    /// Where each block lies once it was merged: its index plus one, or zero where it found no room.
+    pub(crate) fn places(&self) -> &wgpu::Buffer {
+        &self.transfer.listed
+    }
+
+    /// Of each block the last frame that changed it, where someone keeps that.
+    pub(crate) fn changed(&self) -> &wgpu::Buffer {
+        &self.transfer.changed
+    }
+
     pub(crate) fn keys(&self) -> &wgpu::Buffer {
         &self.transfer.keys
     }
@@ -123,6 +135,7 @@ pub struct LeavingReader {
     count: wgpu::Buffer,
     keys: wgpu::Buffer,
     words: wgpu::Buffer,
+    changed: wgpu::Buffer,
     block_words: usize,
 }
 
@@ -133,6 +146,8 @@ pub struct Left {
     pub keys: Vec<BlockKey>,
     /// Their voxels one after the other, as [`HostBlock::words`].
     pub words: Vec<u32>,
+    /// Of each the last frame that changed it; see [`crate::changed`]. Zero for those beyond its end.
+    pub changed: Vec<u32>,
 }
 
 impl LeavingReader {
@@ -147,7 +162,8 @@ impl LeavingReader {
         }
         let keys: Vec<[u32; 2]> = device.read_staging(&self.keys, count * 8)?;
         let words = device.read_staging(&self.words, count * self.block_words as u64 * 4)?;
-        Ok(Left { keys: keys.into_iter().map(BlockKey::unpack).collect(), words })
+        let changed = device.read_staging(&self.changed, count * 4)?;
+        Ok(Left { keys: keys.into_iter().map(BlockKey::unpack).collect(), words, changed })
     }
 }
 
@@ -178,7 +194,7 @@ impl Swap {
             select: Pipeline::plain(device, &swap::select::PASS),
             scan: Scan::new(device),
             list: Pipeline::plain(device, &swap::list::PASS),
-            gather: Pipeline::plain(device, &swap::gather::PASS),
+            gather: Gather::new(device),
             empty: Default::default(),
             count: Pipeline::plain(device, &swap::count::PASS),
             place: Pipeline::plain(device, &swap::place::PASS),
@@ -236,7 +252,9 @@ impl Swap {
     ) -> LeavingReader {
         self.list_leaving(recorder, map, transfer, frame, least_age, most);
         let kind = map.layout().kind;
-        self.gather(recorder, map, transfer);
+        self.gather.record_voxels(recorder, map, &transfer.listed, &transfer.count, transfer.room, &transfer.words);
+        let (listed, count) = (&transfer.listed, &transfer.count);
+        self.gather.record_words(recorder, &map.last_changed, listed, count, transfer.room, &transfer.changed);
         let most = u64::from(most.min(transfer.room));
         let copy = |recorder: &mut Recorder, from: &wgpu::Buffer, bytes: u64| {
             let staging = self.device.staging("leaving blocks", bytes.max(4));
@@ -247,39 +265,11 @@ impl Swap {
             count: copy(recorder, &transfer.count, 4),
             keys: copy(recorder, &transfer.keys, most * 8),
             words: copy(recorder, &transfer.words, most * kind.block_bytes()),
+            changed: copy(recorder, &transfer.changed, most * 4),
             block_words: kind.block_words(),
         };
         self.hash.remove_listed(recorder, map, &transfer.listed, &transfer.count, transfer.room);
         reader
-    }
-
-    /// Copies the listed blocks into the transfer buffer.
-    fn gather(&self, recorder: &mut Recorder, map: &BlockMap, transfer: &Transfer) {
-        let kind = map.layout().kind;
-        let mut plane_start = 0;
-        for plane in &map.planes {
-            let plane_words = plane.block_words() as u32;
-            for (words, page) in plane.pages.iter().zip(0..) {
-                let bindings = swap::gather::Bindings {
-                    params: swap::gather::Params {
-                        page,
-                        page_shift: map.page_shift(),
-                        plane_words,
-                        plane_start,
-                        block_words: kind.block_words() as u32,
-                        unused_a: 0,
-                        unused_b: [0; 2],
-                    },
-                    listed: &transfer.listed,
-                    count: &transfer.count,
-                    plane: words,
-                    transfer: &transfer.words,
-                };
-                let groups = u64::from(transfer.room).min(GATHERED_AT_ONCE);
-                recorder.dispatch(&self.gather, &bindings, Groups::linear(groups, 1));
-            }
-            plane_start += plane_words;
-        }
     }
 
     /// The same, but the blocks are gone for good.
@@ -323,27 +313,6 @@ impl Swap {
         recorder.dispatch(&self.count, &bindings, Groups::linear(chunks.into(), 64));
         self.list_marked(recorder, map, transfer, transfer.room);
         self.hash.remove_listed(recorder, map, &transfer.listed, &transfer.count, transfer.room);
-    }
-
-    /// Reads blocks with these indices back, each as [`HostBlock::words`], one after the other. Waits.
-    ///
-    /// # Errors
-    /// Where the device was lost.
-    pub fn read(&self, map: &BlockMap, blocks: &[u32]) -> Result<Vec<u32>, Error> {
-        let block_words = map.layout().kind.block_words();
-        let mut words = Vec::with_capacity(blocks.len() * block_words);
-        let transfer = Transfer::new(&self.device, map, 1024.min(blocks.len() as u32));
-        for some in blocks.chunks(transfer.room as usize) {
-            let count = some.len() as u32;
-            self.device.queue.write_buffer(&transfer.listed, 0, bytemuck::cast_slice(some));
-            self.device.queue.write_buffer(&transfer.count, 0, bytemuck::bytes_of(&count));
-            let mut recorder = Recorder::new(&self.device);
-            recorder.stage("swap");
-            self.gather(&mut recorder, map, &transfer);
-            let _untimed = recorder.submit();
-            words.extend(self.device.read::<u32>(&transfer.words, 0, u64::from(count) * block_words as u64 * 4)?);
-        }
-        Ok(words)
     }
 
     fn list_leaving(
@@ -455,6 +424,118 @@ impl Swap {
         let staging = self.device.staging("places", u64::from(count) * 4);
         recorder.copy(&transfer.listed, &staging, u64::from(count) * 4);
         PlacesReader { staging, count }
+    }
+}
+
+/// Blocks that are read at a time.
+const READ_AT_ONCE: usize = 1024;
+
+/// Copies blocks out of a map.
+#[derive(Debug)]
+pub struct Gather {
+    device: Device,
+    gather: Pipeline,
+}
+
+impl Gather {
+    /// Compiles the pass.
+    pub fn new(device: &Device) -> Self {
+        Self { device: device.clone(), gather: Pipeline::plain(device, &swap::gather::PASS) }
+    }
+
+    /// Reads blocks by their indices, one behind the other into `words`, which is as long as they need (see
+    /// [`HostBlock::words`]). All must be in use. The map stays as it is. Waits.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    ///
+    /// # Panics
+    /// Where `words` has another length.
+    pub fn read(&self, map: &BlockMap, blocks: &[u32], words: &mut [u32]) -> Result<(), Error> {
+        let block_words = map.layout().kind.block_words();
+        assert_eq!(words.len(), blocks.len() * block_words, "words of {} blocks", blocks.len());
+        let room = blocks.len().min(READ_AT_ONCE);
+        if room == 0 {
+            return Ok(());
+        }
+        let bytes = room as u64 * map.layout().kind.block_bytes();
+        let listed = self.device.storage("read blocks", room as u64 * 4);
+        let count = self.device.storage("read count", 16);
+        let voxels = self.device.storage("read voxels", bytes);
+        for (some, words) in blocks.chunks(room).zip(words.chunks_mut(room * block_words)) {
+            self.device.queue.write_buffer(&listed, 0, bytemuck::cast_slice(some));
+            self.device.queue.write_buffer(&count, 0, bytemuck::bytes_of(&(some.len() as u32)));
+            let mut recorder = Recorder::new(&self.device);
+            recorder.stage("swap");
+            self.record_voxels(&mut recorder, map, &listed, &count, room as u32, &voxels);
+            let _untimed = recorder.submit();
+            words.copy_from_slice(&self.device.read::<u32>(&voxels, 0, size_of_val(words) as u64)?);
+        }
+        Ok(())
+    }
+
+    /// Records copying the voxels of listed blocks, each block's planes one after the other.
+    fn record_voxels(
+        &self,
+        recorder: &mut Recorder,
+        map: &BlockMap,
+        listed: &wgpu::Buffer,
+        count: &wgpu::Buffer,
+        room: u32,
+        to: &wgpu::Buffer,
+    ) {
+        let mut plane_start = 0;
+        for plane in &map.planes {
+            let plane_words = plane.block_words() as u32;
+            for (words, page) in plane.pages.iter().zip(0..) {
+                let bindings = swap::gather::Bindings {
+                    params: swap::gather::Params {
+                        page,
+                        page_shift: map.page_shift(),
+                        plane_words,
+                        plane_start,
+                        block_words: map.layout().kind.block_words() as u32,
+                        unused_a: 0,
+                        unused_b: [0; 2],
+                    },
+                    listed,
+                    count,
+                    plane: words,
+                    transfer: to,
+                };
+                recorder.dispatch(&self.gather, &bindings, Groups::linear(u64::from(room).min(GATHERED_AT_ONCE), 1));
+            }
+            plane_start += plane_words;
+        }
+    }
+
+    /// Records copying what a table has of listed blocks, one word each.
+    fn record_words(
+        &self,
+        recorder: &mut Recorder,
+        table: &wgpu::Buffer,
+        listed: &wgpu::Buffer,
+        count: &wgpu::Buffer,
+        room: u32,
+        to: &wgpu::Buffer,
+    ) {
+        let bindings = swap::gather::Bindings {
+            params: swap::gather::Params {
+                // A table is one page, whatever it has.
+                page: 0,
+                page_shift: 31,
+                plane_words: 1,
+                plane_start: 0,
+                block_words: 1,
+                unused_a: 0,
+                unused_b: [0; 2],
+            },
+            listed,
+            count,
+            plane: table,
+            transfer: to,
+        };
+        recorder.dispatch(&self.gather, &bindings, Groups::linear(u64::from(room).min(GATHERED_AT_ONCE), 1));
     }
 }
 

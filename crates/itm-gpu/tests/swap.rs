@@ -1,5 +1,7 @@
 //! Stage `swap`: blocks that leave and come back are the same, and what met at one place is fused as the reference does.
 
+#![allow(clippy::unwrap_used, reason = "this is a test, and its helpers outside of #[test] functions are too")]
+
 mod common;
 
 use std::collections::BTreeMap;
@@ -92,7 +94,8 @@ fn blocks_leave_by_age_and_come_back_as_they_were() {
         // Half of them at a time, as they fit the buffer.
         fusion.map.lay_grid(&camera, &Se3::IDENTITY, RANGE_M[1], 0.1).unwrap();
         let half = left.keys.len() / 2;
-        let part = |keys: &[BlockKey], words: &[u32]| Left { keys: keys.to_vec(), words: words.to_vec() };
+        let part =
+            |keys: &[BlockKey], words: &[u32]| Left { keys: keys.to_vec(), words: words.to_vec(), changed: Vec::new() };
         let (words_a, words_b) = left.words.split_at(half * kind.block_words());
         for some in [part(&left.keys[..half], words_a), part(&left.keys[half..], words_b)] {
             assert!(bring(gpu, &fusion, &swap, &transfer, &some, 100).iter().all(|placed| *placed));
@@ -118,8 +121,11 @@ fn what_finds_no_room_is_said_and_nothing_else_is_touched() {
     let mut rng = rand_pcg::Pcg32::seed_from_u64(3);
     let words: Vec<u32> = keys.iter().flat_map(|_| random_block(kind, &mut rng)).collect();
     let outside = BlockKey { submap: 0, position: IVec3::new(0, 0, 10_000) };
-    let left =
-        Left { keys: [&keys[..], &[outside]].concat(), words: [&words[..], &vec![9; kind.block_words()]].concat() };
+    let left = Left {
+        keys: [&keys[..], &[outside]].concat(),
+        words: [&words[..], &vec![9; kind.block_words()]].concat(),
+        changed: Vec::new(),
+    };
     let placed = bring(gpu, &fusion, &swap, &transfer, &left, 100);
     assert_eq!(placed.iter().filter(|placed| **placed).count(), 8);
     assert!(!placed[12], "no grid cell, no place");
@@ -199,7 +205,7 @@ proptest! {
         let held: Vec<_> = keys.iter().zip(&here).take(6).map(|(key, words)| HostBlock { key: *key, words }).collect();
         fusion.map.insert_blocks(&held).unwrap();
         let coming: Vec<_> = (0..6).map(|_| random_block(kind, &mut rng)).collect();
-        let left = Left { keys: keys[3..].to_vec(), words: coming.concat() };
+        let left = Left { keys: keys[3..].to_vec(), words: coming.concat(), changed: Vec::new() };
         prop_assert!(bring(gpu, &fusion, &swap, &transfer, &left, max_weight).iter().all(|placed| *placed));
         let found = blocks(&fusion.map);
         for (i, key) in keys.iter().enumerate() {

@@ -1,6 +1,6 @@
 //! Meshing a map in parts, so that device memory is bounded by the part and not by the map.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use glam::IVec3;
 use itm_core::Mesh;
@@ -9,7 +9,7 @@ use itm_gpu::mesh::{Extract, LatticeEdge, Options, Part};
 use itm_gpu::{BlockMap, Device};
 
 use crate::Error;
-use crate::chunks::Chunks;
+use crate::chunks::{Chunks, around};
 use crate::source::{BlockSource, upload};
 
 /// How a map is meshed.
@@ -45,20 +45,71 @@ pub fn mesh_in_chunks(
     options: &MeshOptions,
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<Mesh, Error> {
-    let (layout, keys) = (source.layout(), source.keys());
-    let all = keys.len() as u64;
-    let chunks = Chunks::new(keys, options.max_blocks);
-    let extract = Extract::new(device);
-    let mut map = BlockMap::new(device, layout, 1)?;
-    let mut joined = Joined::new(&chunks, layout.voxel_size_m);
+    let chunks = Chunks::new(source.keys(), options.max_blocks);
+    let mut map = BlockMap::new(device, source.layout(), 1)?;
+    mesh_chunks(&Extract::new(device), &mut map, source, &chunks, options, progress)
+}
+
+/// Meshes some blocks of a source: the triangles of their cells alone, for which the blocks around them are read too. Keys that
+/// the source does not have, and repeated ones, are passed over. So a mesh can follow a map that changes: see [`with_neighbours`].
+/// All else is as for [`mesh_in_chunks`].
+///
+/// # Errors
+/// As [`mesh_in_chunks`].
+pub fn mesh_blocks(
+    device: &Device,
+    source: &mut dyn BlockSource,
+    keys: &[BlockKey],
+    options: &MeshOptions,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<Mesh, Error> {
+    let mut map = BlockMap::new(device, source.layout(), 1)?;
+    mesh_some(&Extract::new(device), &mut map, source, keys, options, progress)
+}
+
+/// The same with a stage and a map for the parts, which are kept from call to call.
+pub(crate) fn mesh_some(
+    extract: &Extract,
+    map: &mut BlockMap,
+    source: &mut dyn BlockSource,
+    keys: &[BlockKey],
+    options: &MeshOptions,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<Mesh, Error> {
+    let all: HashSet<[u32; 2]> = source.keys().into_iter().map(BlockKey::pack).collect();
+    let mut wanted = HashSet::new();
+    let own: Vec<BlockKey> =
+        keys.iter().filter(|key| all.contains(&key.pack()) && wanted.insert(key.pack())).copied().collect();
+    let others: HashSet<_> =
+        own.iter().flat_map(|key| around(*key)).filter(|key| all.contains(key) && !wanted.contains(key)).collect();
+    mesh_chunks(extract, map, source, &Chunks::among(own, others, options.max_blocks), options, progress)
+}
+
+/// Blocks and their 26 neighbours, each once: those whose meshes may be others after the blocks have changed, for a cell
+/// reads voxels up to two beyond its own.
+pub fn with_neighbours(keys: &[BlockKey]) -> Vec<BlockKey> {
+    let mut seen = HashSet::new();
+    keys.iter().flat_map(|key| around(*key)).filter(|key| seen.insert(*key)).map(BlockKey::unpack).collect()
+}
+
+fn mesh_chunks(
+    extract: &Extract,
+    map: &mut BlockMap,
+    source: &mut dyn BlockSource,
+    chunks: &Chunks,
+    options: &MeshOptions,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<Mesh, Error> {
+    let all = chunks.blocks() as u64;
+    let mut joined = Joined::new(chunks, source.layout().voxel_size_m);
     let mut done = 0;
     for chunk in 0..chunks.len() {
         let blocks = chunks.with_surroundings(chunk);
         let own = chunks.own(chunk).len() as u32;
         map.forget_blocks();
-        upload(source, &blocks, &mut map)?;
+        upload(source, &blocks, map)?;
         let options = Options { min_weight: options.min_weight, cells_of_first: Some(own), ..Options::default() };
-        let part = extract.part(&map, &options, &mut |step, steps| {
+        let part = extract.part(map, &options, &mut |step, steps| {
             progress(done + u64::from(own) * u64::from(step) / u64::from(steps.max(1)), all);
         })?;
         joined.append(&part, chunk)?;

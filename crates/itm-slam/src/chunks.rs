@@ -18,6 +18,8 @@ pub(crate) struct Chunks {
     /// Where each chunk begins, and where the last one ends.
     starts: Vec<usize>,
     chunk_of: HashMap<[u32; 2], u32>,
+    /// Blocks of no chunk, which only lie around those that are.
+    around: HashSet<[u32; 2]>,
 }
 
 impl Chunks {
@@ -25,7 +27,12 @@ impl Chunks {
     ///
     /// Cells of some blocks a side, along a Z-order curve (Morton 1966), which keeps neighbours together, go into a chunk
     /// until it is full. Which block goes where depends on the keys alone, and not on their order.
-    pub(crate) fn new(mut keys: Vec<BlockKey>, max_blocks: u32) -> Self {
+    pub(crate) fn new(keys: Vec<BlockKey>, max_blocks: u32) -> Self {
+        Self::among(keys, HashSet::new(), max_blocks)
+    }
+
+    /// The same for some of a map's blocks, each named once; `others` are blocks that lie around them.
+    pub(crate) fn among(mut keys: Vec<BlockKey>, others: HashSet<[u32; 2]>, max_blocks: u32) -> Self {
         let bound = max_blocks.max(LEAST_BLOCKS) as usize;
         let fits = |side: &i32| ((side + 2) as usize).pow(3) <= bound;
         let side = [CELL_SIDE, 4, 2].into_iter().find(fits).unwrap_or(1);
@@ -36,7 +43,8 @@ impl Chunks {
         // The chunk's blocks and those around them so far.
         let mut held: HashSet<[u32; 2]> = HashSet::new();
         for group in keys.chunk_by(|a, b| cell(a) == cell(b)) {
-            let with_surroundings = || group.iter().flat_map(|key| around(*key)).filter(|k| chunk_of.contains_key(k));
+            let with_surroundings =
+                || group.iter().flat_map(|key| around(*key)).filter(|k| chunk_of.contains_key(k) || others.contains(k));
             let more: HashSet<[u32; 2]> = with_surroundings().filter(|key| !held.contains(key)).collect();
             let begins = at == 0 || keys[at - 1].submap != group[0].submap || held.len() + more.len() > bound;
             if begins {
@@ -51,7 +59,7 @@ impl Chunks {
             at += group.len();
         }
         starts.push(at);
-        Self { keys, starts, chunk_of }
+        Self { keys, starts, chunk_of, around: others }
     }
 
     /// Number of blocks.
@@ -74,7 +82,8 @@ impl Chunks {
         let mut all = self.own(chunk).to_vec();
         let mut seen: HashSet<[u32; 2]> = all.iter().map(|key| key.pack()).collect();
         for key in self.own(chunk) {
-            let new = around(*key).filter(|key| self.chunk_of.contains_key(key) && seen.insert(*key));
+            let there = |key: &[u32; 2]| self.chunk_of.contains_key(key) || self.around.contains(key);
+            let new = around(*key).filter(|key| there(key) && seen.insert(*key));
             all.extend(new.map(BlockKey::unpack));
         }
         all
@@ -87,7 +96,7 @@ impl Chunks {
 }
 
 /// The packed keys of a block and its 26 neighbours, as far as there can be any.
-fn around(key: BlockKey) -> impl Iterator<Item = [u32; 2]> {
+pub(crate) fn around(key: BlockKey) -> impl Iterator<Item = [u32; 2]> {
     let side = || -1..=1;
     let offsets = side().flat_map(move |z| side().flat_map(move |y| side().map(move |x| IVec3::new(x, y, z))));
     let positions = offsets.map(move |offset| key.position + offset);

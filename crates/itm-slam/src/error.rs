@@ -40,6 +40,9 @@ pub enum Error {
     /// Nothing is to be fused, and there is no map to track against.
     #[error("map.fuse is off, so that nothing can be mapped, but there is no map to start in (--map)")]
     NothingToTrackAgainst,
+    /// What changed was asked for, and nobody kept it.
+    #[error("what changed since a frame is known only where map.track_changes is on")]
+    ChangesNotTracked,
     /// Given poses were asked for, and the recording has none.
     #[error("the recording '{recording}' has no poses, so it cannot be fused with given ones")]
     NoPoses {

@@ -28,6 +28,7 @@ mod error;
 mod frame_result;
 mod live;
 mod mapper;
+mod robot;
 mod saved;
 mod saving;
 mod session;
@@ -37,7 +38,7 @@ mod swapping;
 pub mod tracking;
 mod views;
 
-pub use chunked_mesh::{MeshOptions, mesh_in_chunks};
+pub use chunked_mesh::{MeshOptions, mesh_blocks, mesh_in_chunks, with_neighbours};
 pub use decimate::{DecimateError, decimate};
 pub use error::Error;
 pub use frame_result::{FrameReport, FrameResult, FrameStatus, Notice};

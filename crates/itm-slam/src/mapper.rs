@@ -1,18 +1,19 @@
 //! The map's life: when pools grow, and which stages a frame's fusion takes.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use glam::{IVec3, UVec3};
 use itm_core::voxel::{BEST_OBSERVATION, BlockKey, VoxelKind};
 use itm_core::{Calibration, DenseSettings, Intrinsics, MapIndex, ObservationWeight, Se3, Settings, Swapping};
 use itm_gpu::allocate::Allocate;
+use itm_gpu::changed::Changed;
 use itm_gpu::confidence::Confidence;
 use itm_gpu::hash::Hash;
 use itm_gpu::integrate::{Integrate, IntegrateOptions};
 use itm_gpu::normals::Normals;
 use itm_gpu::ranges::Ranges;
 use itm_gpu::raycast::Raycast;
-use itm_gpu::swap::{AGE_BINS, Arrivals, Left, PlacesReader, Swap, Transfer};
+use itm_gpu::swap::{AGE_BINS, Arrivals, Gather, Left, PlacesReader, Swap, Transfer};
 use itm_gpu::visible::Visible;
 use itm_gpu::{
     BlockMap, Device, FrameRecord, HostBlock, MapLayout, MapState, RaycastImage, RecordReader, Recorder, StageTimes,
@@ -65,6 +66,9 @@ pub(crate) struct Mapper {
     /// Whether the hash holds so many traces of removed blocks that it is to be rebuilt.
     rebuild: bool,
     hash: Hash,
+    gather: Gather,
+    /// Where blocks remember what changed them.
+    changed: Option<Changed>,
 }
 
 struct Waiting {
@@ -207,6 +211,8 @@ impl Mapper {
             leaving: None,
             rebuild: false,
             hash: Hash::new(device),
+            gather: Gather::new(device),
+            changed: settings.map.track_changes.then(|| Changed::new(device)),
         })
     }
 
@@ -245,18 +251,27 @@ impl Mapper {
 
     /// The blocks wherever they lie; `None` where all of them lie on the device.
     pub(crate) fn live(&mut self) -> Result<Option<LiveMap<'_>>, Error> {
-        for waiting in &mut self.waiting {
-            let _read = waiting.read(&self.device)?;
-        }
-        let Some(swapped) = &self.swapped else { return Ok(None) };
-        let left: Vec<&Left> = self.left().filter(|left| !left.keys.is_empty()).collect();
-        if swapped.store.is_empty() && left.is_empty() {
-            return Ok(None);
-        }
+        self.read_moved()?;
+        let live = self.live_map()?;
+        Ok((!live.is_on_device()).then_some(live))
+    }
+
+    /// The blocks wherever they lie, once [`Mapper::read_moved`] has read what is on its way.
+    pub(crate) fn live_map(&self) -> Result<LiveMap<'_>, Error> {
+        let store = self.swapped.as_ref().map(|swapped| &swapped.store);
         let on_device = self.map.read_keys()?.into_iter().flatten().map(BlockKey::pack).collect();
-        let max_weight = largest_weight(&self.settings);
-        let (map, hash, stage, store) = (&self.map, &self.hash, &swapped.stage, &swapped.store);
-        Ok(Some(LiveMap { map, hash, stage, store, left, max_weight, on_device }))
+        let mut live = LiveMap {
+            map: &self.map,
+            hash: &self.hash,
+            gather: &self.gather,
+            store,
+            superseded: BTreeSet::new(),
+            left: BTreeMap::new(),
+            max_weight: largest_weight(&self.settings),
+            on_device,
+        };
+        self.moved().for_each(|moved| live.add(moved));
+        Ok(live)
     }
 
     /// What has left the device but is not in the store yet, once [`Mapper::state`] has read it.
@@ -275,10 +290,12 @@ impl Mapper {
 
     /// Takes over what [`Mapper::state`] gave. `left` are the blocks of all its frames.
     pub(crate) fn set_state(&mut self, state: &mut MapperState, left: Left, block_words: usize) {
-        let (mut keys, mut words) = (left.keys.into_iter(), left.words.into_iter());
+        let (mut keys, mut words, mut changed) =
+            (left.keys.into_iter(), left.words.into_iter(), left.changed.into_iter());
         let mut left = |count: usize| Left {
             keys: keys.by_ref().take(count).collect(),
             words: words.by_ref().take(count * block_words).collect(),
+            changed: changed.by_ref().take(count).collect(),
         };
         let unzip = |brought: Vec<([u32; 2], bool)>| -> (Vec<BlockKey>, Vec<bool>) {
             brought.into_iter().map(|(key, placed)| (BlockKey::unpack(key), placed)).unzip()
@@ -475,7 +492,7 @@ impl Mapper {
             self.allocate.record_with(&mut recorder, &self.map, Some((view, world_from_camera)), arriving);
         }
         if let Some((keys, arrivals)) = arrivals {
-            motion.places = self.record_merge(&mut recorder, &arrivals).map(|places| (keys, places));
+            motion.places = self.record_merge(&mut recorder, &keys, &arrivals).map(|places| (keys, places));
         }
         self.visible.record(&mut recorder, &self.map, &camera, world_from_camera, near, far);
         let options = IntegrateOptions {
@@ -487,6 +504,9 @@ impl Mapper {
         };
         let calibration = Calibration { colour_from_depth: *colour_from_depth, ..self.calibration };
         self.integrate.record(&mut recorder, &self.map, view, &calibration, world_from_camera, &options);
+        if let Some(changed) = &self.changed {
+            changed.record(&mut recorder, &self.map, self.clock_of_changes());
+        }
         if let Some((stage, transfer)) = &self.sweep
             && self.frames.is_multiple_of(SWEEP_EVERY)
         {
@@ -557,9 +577,40 @@ impl Mapper {
         Ok(Some((keys, arrivals)))
     }
 
-    fn record_merge(&self, recorder: &mut Recorder, arrivals: &Arrivals) -> Option<PlacesReader> {
-        let stage = &self.swapped.as_ref()?.stage;
-        Some(stage.record_merge(recorder, &self.map, arrivals, largest_weight(&self.settings)))
+    fn record_merge(&self, recorder: &mut Recorder, keys: &[BlockKey], arrivals: &Arrivals) -> Option<PlacesReader> {
+        let swapped = self.swapped.as_ref()?;
+        let places = swapped.stage.record_merge(recorder, &self.map, arrivals, largest_weight(&self.settings));
+        if let Some(changed) = &self.changed {
+            let (changes, now) = (swapped.changes_of(keys), self.clock_of_changes());
+            changed.record_arrivals(recorder, &self.map, arrivals, &changes, now);
+        }
+        Some(places)
+    }
+
+    /// The number that blocks remember of this frame: its place among those that came, from 1.
+    fn clock_of_changes(&self) -> u32 {
+        u32::try_from(self.frames).unwrap_or(u32::MAX)
+    }
+
+    /// Frames that have come so far.
+    pub(crate) fn frames(&self) -> u64 {
+        self.frames
+    }
+
+    /// Reads what frames have set in motion and was not taken over yet; that still happens at its frame.
+    pub(crate) fn read_moved(&mut self) -> Result<(), Error> {
+        for waiting in &mut self.waiting {
+            let _read = waiting.read(&self.device)?;
+        }
+        Ok(())
+    }
+
+    /// What [`Mapper::read_moved`] has read, in the order of the frames.
+    pub(crate) fn moved(&self) -> impl Iterator<Item = &Moved> {
+        self.waiting.iter().filter_map(|frame| match &frame.found {
+            Found::Read(_, moved) => Some(moved),
+            Found::OnDevice(..) => None,
+        })
     }
 
     /// Brings all stored blocks that a view reaches to the device, as far as there is room, others leaving for them. Waits;
@@ -587,7 +638,7 @@ impl Mapper {
             let lacking = needed.saturating_sub(self.map.capacity());
             self.record_leaving(&mut recorder, &mut motion, viewed, (lacking > 0).then_some((lacking, 1)));
             self.allocate.record_with(&mut recorder, &self.map, None, Some(&arrivals));
-            let places = self.record_merge(&mut recorder, &arrivals);
+            let places = self.record_merge(&mut recorder, &keys, &arrivals);
             motion.places = places.map(|places| (keys, places));
             let _untimed = recorder.submit();
             let Some(swapped) = &mut self.swapped else { return Ok(()) };

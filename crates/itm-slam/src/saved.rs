@@ -5,13 +5,14 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use itm_core::block::merge_blocks;
 use itm_core::voxel::{BLOCK_SIDE, BlockKey};
-use itm_core::{Mesh, Settings, SettingsError, Trajectory};
+use itm_core::{Mesh, Settings, Trajectory};
 use itm_gpu::{Device, MapLayout};
 use itm_io::block_store::{BlockStore, Placed, StoreFile};
 use itm_io::map_file::{MapHeader, MapReader, tag};
 
 use crate::Error;
 use crate::chunked_mesh::{MeshOptions, mesh_in_chunks};
+use crate::saving::{LEFT, settings_of};
 use crate::source::{BlockSource, submaps};
 use crate::views::full_weight;
 
@@ -34,7 +35,8 @@ pub struct SavedMap {
 }
 
 impl SavedMap {
-    /// Reads a map file. Blocks that were on the device and in the host's store are merged. `progress` is told how many of how
+    /// Reads a map file. Blocks of one place that were on the device, in the host's store and on the way between them
+    /// are merged. `progress` is told how many of how
     /// many bytes of blocks have been read, before compression.
     ///
     /// # Memory
@@ -48,9 +50,10 @@ impl SavedMap {
         let mut reader = MapReader::open(path)?;
         let header = reader.header().clone();
         let kind = header.voxel_kind;
-        let max_weight = settings_of(&header).map_or(u16::MAX, |settings| full_weight(&settings));
+        let max_weight = settings_of(&header, path).map_or(u16::MAX, |settings| full_weight(&settings));
         let mut store = BlockStore::new(kind.block_words(), memory_budget_bytes, StoreFile::Temporary(None));
-        let sections: Vec<_> = reader.sections().filter(|s| [tag::BLOCKS, tag::HOST_BLOCKS].contains(&s.tag)).collect();
+        let of_blocks = [tag::BLOCKS, tag::HOST_BLOCKS, LEFT];
+        let sections: Vec<_> = reader.sections().filter(|s| of_blocks.contains(&s.tag)).collect();
         let (mut done, all) = (0, sections.iter().map(|s| s.raw_bytes).sum());
         let mut merged = vec![0; kind.block_words()];
         let mut warned = false;
@@ -95,8 +98,8 @@ impl SavedMap {
     ///
     /// # Errors
     /// Where not all of them are known any more; the map can be used all the same.
-    pub fn settings(&self) -> Result<Settings, SettingsError> {
-        settings_of(&self.header)
+    pub fn settings(&self) -> Result<Settings, Error> {
+        settings_of(&self.header, &self.path)
     }
 
     /// The camera's way; empty where the file has none.
@@ -155,8 +158,4 @@ impl BlockSource for SavedMap {
         }
         Ok(())
     }
-}
-
-fn settings_of(header: &MapHeader) -> Result<Settings, SettingsError> {
-    Settings::resolve(Some(("the map's header", &header.settings)), &[])
 }

@@ -25,7 +25,12 @@ const FREE_BLOCKS: Tag = *b"FREE";
 const PENDING: Tag = *b"PEND";
 const LAST_SEEN: Tag = *b"SEEN";
 /// Blocks that have left the device but are not in the host's store yet.
-const LEFT: Tag = *b"LEFT";
+pub(crate) const LEFT: Tag = *b"LEFT";
+/// When blocks were last changed, where the settings ask for it: by block index; of stored blocks, as two words of a key and
+/// one of the frame; of those that left.
+const CHANGED: Tag = *b"CHNG";
+const HOST_CHANGED: Tag = *b"CHHS";
+const LEFT_CHANGED: Tag = *b"CHLF";
 /// Points and normals of the model that the next frame is tracked against.
 const MODEL: Tag = *b"MODL";
 /// Points with the colours of the frame before, and of the map.
@@ -132,10 +137,11 @@ impl Slam {
         let mut writer = MapWriter::create(path, &header)?;
         writer.blocks::<Error>(tag::BLOCKS, |sink| {
             self.mapper.map.read_blocks::<Error>(|key, words| {
-                Ok(match key {
+                match key {
                     Some(key) => sink.block(key, words)?,
                     None => sink.unused()?,
-                })
+                }
+                Ok(())
             })
         })?;
         if let Some(swapped) = &self.mapper.swapped {
@@ -164,6 +170,16 @@ impl Slam {
         writer.bytes(FREE_BLOCKS, &to_bytes(on_device.free_blocks))?;
         writer.bytes(PENDING, &to_bytes(on_device.pending.into_iter().flatten()))?;
         writer.bytes(LAST_SEEN, &to_bytes(on_device.last_seen))?;
+        if self.settings.map.track_changes {
+            writer.bytes(CHANGED, &to_bytes(on_device.last_changed))?;
+            let stored = self.mapper.swapped.iter().flat_map(|swapped| &swapped.changed);
+            writer.bytes(HOST_CHANGED, &to_bytes(stored.flat_map(|([a, b], frame)| [*a, *b, *frame])))?;
+            let left = self.mapper.left().flat_map(|left| {
+                let known = left.changed.iter().copied().chain(std::iter::repeat(0));
+                known.take(left.keys.len())
+            });
+            writer.bytes(LEFT_CHANGED, &to_bytes(left))?;
+        }
         writer.bytes(MODEL, &self.model.read_bytes(&self.device)?)?;
         for (tag, list) in LISTS.iter().zip(&self.lists) {
             if let Some(list) = list {
@@ -191,12 +207,14 @@ impl Slam {
             keys.push(key.map_or(BlockKey::NO_KEY, BlockKey::pack));
             Ok(())
         })?;
+        let last_changed = if reader.has(CHANGED) { to_words(&reader.bytes(CHANGED)?) } else { vec![0; keys.len()] };
         let on_device = MapState {
             capacity: state.mapper.capacity,
             counters: to_words(&reader.bytes(COUNTERS)?),
             free_blocks: to_words(&reader.bytes(FREE_BLOCKS)?),
             pending: pairs(&to_words(&reader.bytes(PENDING)?)),
             last_seen: to_words(&reader.bytes(LAST_SEEN)?),
+            last_changed,
             keys,
         };
         slam.mapper.restore(&on_device)?;
@@ -226,7 +244,17 @@ impl Slam {
                 None => Ok(()),
             })?;
         }
+        if let Some(swapped) = &mut slam.mapper.swapped
+            && reader.has(HOST_CHANGED)
+        {
+            for stored in to_words(&reader.bytes(HOST_CHANGED)?).chunks_exact(3) {
+                swapped.note_change(BlockKey::unpack([stored[0], stored[1]]), stored[2]);
+            }
+        }
         let mut left = Left::default();
+        if reader.has(LEFT_CHANGED) {
+            left.changed = to_words(&reader.bytes(LEFT_CHANGED)?);
+        }
         if reader.has(LEFT) {
             reader.blocks::<Error>(LEFT, |key, words| {
                 left.keys.extend(key);

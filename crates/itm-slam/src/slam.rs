@@ -17,6 +17,7 @@ use crate::Error;
 use crate::chunked_mesh::{MeshOptions, mesh_in_chunks};
 use crate::frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
 use crate::mapper::{Late, Mapper};
+use crate::robot::Questions;
 use crate::source::BlockSource as _;
 use crate::tracking::{
     Against, Age, CHECK_LEVELS, ModelObjective, Moment, Motion, Tracked, Tracker, Verdict, colour_offset,
@@ -49,7 +50,7 @@ pub struct Slam {
     pub(crate) age: Age,
     pub(crate) mapper: Mapper,
     render: Render,
-    extract: Extract,
+    pub(crate) extract: Extract,
     /// The map as seen from the last fused pose.
     pub(crate) model: RaycastImage,
     pub(crate) world_from_model: Option<Se3>,
@@ -60,6 +61,8 @@ pub struct Slam {
     pub(crate) trajectory: Trajectory,
     /// One more than the number of the last frame.
     pub(crate) next_frame: u64,
+    /// What answers questions about the map; made when first asked.
+    pub(crate) questions: Option<Questions>,
 }
 
 impl std::fmt::Debug for Slam {
@@ -114,6 +117,7 @@ impl Slam {
             to_recover: 0,
             trajectory: Trajectory::default(),
             next_frame: 0,
+            questions: None,
         })
     }
 

@@ -83,6 +83,8 @@ pub(crate) struct Swapped {
     pub(crate) ages: Vec<u32>,
     /// Stored blocks near the last view.
     pub(crate) near: u32,
+    /// Of stored blocks the last frame that changed each, where someone keeps that.
+    pub(crate) changed: BTreeMap<[u32; 2], u32>,
 }
 
 impl Swapped {
@@ -103,6 +105,20 @@ impl Swapped {
             arriving: BTreeSet::new(),
             ages: vec![0; AGE_BINS],
             near: 0,
+            changed: BTreeMap::new(),
+        }
+    }
+
+    /// When stored blocks were last changed.
+    pub(crate) fn changes_of(&self, keys: &[BlockKey]) -> Vec<u32> {
+        keys.iter().map(|key| self.changed.get(&key.pack()).copied().unwrap_or(0)).collect()
+    }
+
+    /// Notes when a stored block was last changed.
+    pub(crate) fn note_change(&mut self, key: BlockKey, frame: u32) {
+        if frame > 0 {
+            let last = self.changed.entry(key.pack()).or_default();
+            *last = frame.max(*last);
         }
     }
 
@@ -139,12 +155,15 @@ impl Swapped {
                     back += 1;
                     self.store.take(key, &mut spare)?;
                     self.cells.remove(key);
+                    self.changed.remove(&key.pack());
                 }
             }
         }
-        if let Some(Left { keys, words }) = left {
-            for (key, block) in keys.into_iter().zip(words.chunks(self.kind.block_words())) {
+        if let Some(Left { keys, words, changed }) = left {
+            let changed = changed.into_iter().chain(std::iter::repeat(0));
+            for ((key, block), changed) in keys.into_iter().zip(words.chunks(self.kind.block_words())).zip(changed) {
                 self.put(key, block)?;
+                self.note_change(key, changed);
             }
         }
         Ok(back)

@@ -66,10 +66,10 @@ fn header() -> MapHeader {
     MapHeader::new(&settings, Calibration::registered(camera(), DepthConversion::MILLIMETRES), KIND)
 }
 
-/// Writes a map of blocks on the device and in the host's store.
-fn write(path: &Path, device: &Blocks, host: &Blocks) {
+/// Writes a map of blocks on the device, in the host's store, and on their way there.
+fn write(path: &Path, device: &Blocks, host: &Blocks, left: &Blocks) {
     let mut writer = MapWriter::create(path, &header()).unwrap();
-    for (tag, blocks) in [(tag::BLOCKS, device), (tag::HOST_BLOCKS, host)] {
+    for (tag, blocks) in [(tag::BLOCKS, device), (tag::HOST_BLOCKS, host), (*b"LEFT", left)] {
         let section = |sink: &mut itm_io::map_file::BlockSink<'_, '_>| -> Result<(), itm_io::Error> {
             sink.unused()?;
             blocks.iter().try_for_each(|(key, words)| sink.block(*key, words))
@@ -87,7 +87,8 @@ fn open(blocks: &Blocks, budget_bytes: u64) -> SavedMap {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("room.itm");
     let (device, host) = blocks.split_at(blocks.len() / 2);
-    write(&path, &device.to_vec(), &host.to_vec());
+    let (host, left) = host.split_at(host.len() / 2);
+    write(&path, &device.to_vec(), &host.to_vec(), &left.to_vec());
     SavedMap::open(&path, budget_bytes, &mut |done, all| assert!(done <= all)).unwrap()
 }
 
@@ -201,7 +202,7 @@ fn a_block_on_both_sides_is_merged() {
         words
     };
     let key = BlockKey { submap: 0, position: IVec3::new(-1, 2, 3) };
-    write(&path, &vec![(key, words(0.25, 90))], &vec![(key, words(-0.25, 30))]);
+    write(&path, &vec![(key, words(0.25, 90))], &vec![(key, words(-0.25, 30))], &Vec::new());
     let mut map = SavedMap::open(&path, 0, &mut |_, _| ()).unwrap();
     assert_eq!((map.blocks(), map.keys()), (1, vec![key]));
     let mut merged = vec![0; KIND.block_words()];
@@ -217,7 +218,7 @@ fn a_block_on_both_sides_is_merged() {
 fn files_that_are_no_maps_and_maps_of_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("empty.itm");
-    write(&path, &Vec::new(), &Vec::new());
+    write(&path, &Vec::new(), &Vec::new(), &Vec::new());
     let map = SavedMap::open(&path, 0, &mut |_, _| ()).unwrap();
     assert_eq!((map.blocks(), map.bounds(), map.trajectory().len()), (0, None, 1));
     std::fs::write(&path, "not a map").unwrap();

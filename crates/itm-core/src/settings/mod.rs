@@ -132,6 +132,8 @@ pub struct MapSettings {
     /// Blocks come back to the device once they are within this many metres of the view, and do not leave before they are
     /// further away.
     pub swap_margin_m: f32,
+    /// Whether each block remembers the last frame that changed it, so that a program can ask for those that changed since.
+    pub track_changes: bool,
     /// The box of a dense map.
     pub dense: DenseSettings,
 }
@@ -212,6 +214,7 @@ impl Default for MapSettings {
             host_folder: String::new(),
             transfer_blocks: 4096,
             swap_margin_m: 0.1,
+            track_changes: false,
             dense: DenseSettings::default(),
         }
     }

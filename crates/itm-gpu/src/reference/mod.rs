@@ -13,6 +13,7 @@ mod map;
 pub mod mesh;
 pub mod normals;
 pub mod photometric;
+pub mod query;
 pub mod ranges;
 pub mod raycast;
 pub mod render;
