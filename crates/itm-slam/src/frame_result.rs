@@ -84,7 +84,7 @@ pub struct FrameReport {
     pub notices: Vec<Notice>,
 }
 
-/// What [`Slam::process`] found.
+/// What [`Slam::process`](crate::Slam::process) found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameResult {
     /// The frame's index.

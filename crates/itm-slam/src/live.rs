@@ -39,9 +39,14 @@ impl<'a> LiveMap<'a> {
             }
         }
         if let Some(left) = &moved.left {
-            for (index, key) in left.keys.iter().enumerate() {
-                self.left.entry(key.pack()).or_default().push((left, index));
-            }
+            self.add_left(left);
+        }
+    }
+
+    /// Takes in blocks that left the device but are not in the store.
+    pub(crate) fn add_left(&mut self, left: &'a Left) {
+        for (index, key) in left.keys.iter().enumerate() {
+            self.left.entry(key.pack()).or_default().push((left, index));
         }
     }
 

@@ -270,16 +270,25 @@ impl Mapper {
             max_weight: largest_weight(&self.settings),
             on_device,
         };
+        if let Some(swapped) = &self.swapped {
+            live.add_left(&swapped.held);
+        }
         self.moved().for_each(|moved| live.add(moved));
         Ok(live)
     }
 
     /// What has left the device but is not in the store yet, once [`Mapper::state`] has read it.
     pub(crate) fn left(&self) -> impl Iterator<Item = &Left> {
-        self.waiting.iter().filter_map(|frame| match &frame.found {
-            Found::Read(_, moved) => moved.left.as_ref(),
-            Found::OnDevice(..) => None,
-        })
+        let held = self.swapped.as_ref().map(|swapped| &swapped.held);
+        self.moved().filter_map(|moved| moved.left.as_ref()).chain(held)
+    }
+
+    /// Packed keys of stored blocks that are on the device already, once [`Mapper::state`] has read what is on its way: they
+    /// leave the store at their frame.
+    pub(crate) fn superseded(&self) -> BTreeSet<[u32; 2]> {
+        let brought = self.moved().filter_map(|moved| moved.places.as_ref());
+        let placed = brought.flat_map(|(keys, placed)| keys.iter().zip(placed).filter(|(_, placed)| **placed));
+        placed.map(|(key, _)| key.pack()).collect()
     }
 
     /// Replaces the map by one that was read back, without its voxels.
@@ -324,6 +333,8 @@ impl Mapper {
             swapped.ages.resize(AGE_BINS, 0);
             swapped.near = state.near;
             swapped.arriving = state.arriving.iter().copied().collect();
+            // What is left over left in no frame that is still to come.
+            swapped.held = Left { keys: keys.collect(), words: words.collect(), changed: changed.collect() };
         }
     }
 

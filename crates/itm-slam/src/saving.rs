@@ -31,6 +31,8 @@ pub(crate) const LEFT: Tag = *b"LEFT";
 const CHANGED: Tag = *b"CHNG";
 const HOST_CHANGED: Tag = *b"CHHS";
 const LEFT_CHANGED: Tag = *b"CHLF";
+/// Blocks of the host's store that are on the device already; what counts is there.
+const BACK: Tag = *b"BACK";
 /// Points and normals of the model that the next frame is tracked against.
 const MODEL: Tag = *b"MODL";
 /// Points with the colours of the frame before, and of the map.
@@ -132,7 +134,9 @@ impl Slam {
         let mut header = MapHeader::new(&self.settings, self.calibration, self.mapper.map.layout().kind);
         header.counts.frames = self.next_frame;
         header.counts.device_blocks = on_device.keys.iter().filter(|key| **key != BlockKey::NO_KEY).count() as u64;
-        header.counts.host_blocks = self.mapper.swapped.as_ref().map_or(0, |s| s.store.len() as u64);
+        let superseded = self.mapper.superseded();
+        let stored = self.mapper.swapped.as_ref().map_or(0, |swapped| swapped.store.len());
+        header.counts.host_blocks = stored.saturating_sub(superseded.len()) as u64;
 
         let mut writer = MapWriter::create(path, &header)?;
         writer.blocks::<Error>(tag::BLOCKS, |sink| {
@@ -145,14 +149,16 @@ impl Slam {
             })
         })?;
         if let Some(swapped) = &self.mapper.swapped {
-            writer.blocks::<Error>(tag::HOST_BLOCKS, |sink| {
-                let mut words = vec![0; header.voxel_kind.block_words()];
-                for key in swapped.store.keys() {
-                    swapped.store.get(key, &mut words)?;
-                    sink.block(key, &words)?;
-                }
-                Ok(())
-            })?;
+            for (section, already_back) in [(tag::HOST_BLOCKS, false), (BACK, true)] {
+                writer.blocks::<Error>(section, |sink| {
+                    let mut words = vec![0; header.voxel_kind.block_words()];
+                    for key in swapped.store.keys().filter(|key| superseded.contains(&key.pack()) == already_back) {
+                        swapped.store.get(key, &mut words)?;
+                        sink.block(key, &words)?;
+                    }
+                    Ok(())
+                })?;
+            }
             writer.blocks::<Error>(LEFT, |sink| {
                 for left in self.mapper.left() {
                     for (key, words) in left.keys.iter().zip(left.words.chunks(header.voxel_kind.block_words())) {
@@ -236,13 +242,16 @@ impl Slam {
             Ok(())
         })?;
         write(&mut some);
-        if let Some(swapped) = &mut slam.mapper.swapped
-            && reader.has(tag::HOST_BLOCKS)
-        {
-            reader.blocks::<Error>(tag::HOST_BLOCKS, |key, words| match key {
-                Some(key) => swapped.put(key, words),
-                None => Ok(()),
-            })?;
+        if let Some(swapped) = &mut slam.mapper.swapped {
+            for section in [tag::HOST_BLOCKS, BACK] {
+                if !reader.has(section) {
+                    continue;
+                }
+                reader.blocks::<Error>(section, |key, words| match key {
+                    Some(key) => swapped.put(key, words),
+                    None => Ok(()),
+                })?;
+            }
         }
         if let Some(swapped) = &mut slam.mapper.swapped
             && reader.has(HOST_CHANGED)

@@ -79,6 +79,9 @@ pub(crate) struct Swapped {
     cells: Cells,
     /// Stored blocks that were brought to the device, but are not known to have found room there yet.
     pub(crate) arriving: BTreeSet<[u32; 2]>,
+    /// Blocks that left the device while an older part of theirs in the store was on its way to it. They come into the store
+    /// once that has left it: fused with it there, they would go with it.
+    pub(crate) held: Left,
     /// Ages of the blocks outside the view, as last known.
     pub(crate) ages: Vec<u32>,
     /// Stored blocks near the last view.
@@ -103,6 +106,7 @@ impl Swapped {
             margin_m: settings.swap_margin_m,
             cells: Cells::default(),
             arriving: BTreeSet::new(),
+            held: Left::default(),
             ages: vec![0; AGE_BINS],
             near: 0,
             changed: BTreeMap::new(),
@@ -159,14 +163,28 @@ impl Swapped {
                 }
             }
         }
-        if let Some(Left { keys, words, changed }) = left {
-            let changed = changed.into_iter().chain(std::iter::repeat(0));
-            for ((key, block), changed) in keys.into_iter().zip(words.chunks(self.kind.block_words())).zip(changed) {
+        let held = std::mem::take(&mut self.held);
+        for left in std::iter::once(held).chain(left) {
+            self.take_in(left)?;
+        }
+        Ok(back)
+    }
+
+    /// Puts blocks that left into the store, or holds them while older parts of theirs are on the way to the device.
+    fn take_in(&mut self, left: Left) -> Result<(), Error> {
+        let Left { keys, words, changed } = left;
+        let changed = changed.into_iter().chain(std::iter::repeat(0));
+        for ((key, block), changed) in keys.into_iter().zip(words.chunks(self.kind.block_words())).zip(changed) {
+            if self.arriving.contains(&key.pack()) {
+                self.held.keys.push(key);
+                self.held.words.extend_from_slice(block);
+                self.held.changed.push(changed);
+            } else {
                 self.put(key, block)?;
                 self.note_change(key, changed);
             }
         }
-        Ok(back)
+        Ok(())
     }
 
     /// The age from which on blocks leave, so that `wanted` of them go if there are as many; `None` where none can go, or the
@@ -298,6 +316,38 @@ impl Cone {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A block leaves while an older part of its is on the way to the device: neither is lost.
+    #[test]
+    fn what_leaves_while_an_older_part_arrives_is_kept() {
+        if std::env::var_os("ITM_SKIP_GPU_TESTS").is_some() {
+            return;
+        }
+        let device = Device::open("auto").expect("GPU tests need an adapter; a software driver will do");
+        let settings = MapSettings::default();
+        let kind = VoxelKind::default();
+        let layout = itm_gpu::MapLayout { voxel_size_m: 0.01, truncation_m: 0.04, kind };
+        let map = BlockMap::new(&device, layout, 8).expect("a small map fits");
+        let mut swapped = Swapped::new(&device, &map, &settings, 100);
+        let key = BlockKey { submap: 0, position: IVec3::new(1, 2, 3) };
+        let block = |weight: u16| vec![itm_core::voxel::DistanceVoxel::new(0.5, weight).0; kind.block_words()];
+        let left = |weight| Left { keys: vec![key], words: block(weight), changed: vec![7] };
+        for (placed, expected) in [(true, 3), (false, 8)] {
+            swapped.put(key, &block(5)).expect("it fits");
+            swapped.arriving.insert(key.pack());
+            swapped.settle(Moved { left: Some(left(3)), ..Moved::default() }).expect("it fits");
+            let mut found = vec![0; kind.block_words()];
+            assert!(swapped.store.get(key, &mut found).expect("it is read") && found == block(5), "held apart");
+            let places = Some((vec![key], vec![placed]));
+            let back = swapped.settle(Moved { places, ..Moved::default() }).expect("it fits");
+            assert_eq!(back, u32::from(placed));
+            // Where the older part has come to the device the newer one alone is stored, or else both.
+            assert!(swapped.store.take(key, &mut found).expect("it is read"));
+            assert_eq!(found, block(expected));
+            assert!(swapped.held.keys.is_empty());
+            swapped.cells.remove(key);
+        }
+    }
 
     #[test]
     fn keys_near_a_view_are_found_by_their_cells() {

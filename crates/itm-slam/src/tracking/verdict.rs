@@ -49,7 +49,7 @@ pub struct Tracked {
     pub inlier_share: f64,
     /// Root mean square distance of the pairs from their planes, in metres.
     pub rms_m: f64,
-    /// How well the least determined direction is determined; see [`NormalEquations::information`].
+    /// How well the least determined direction is determined; see [`NormalEquations::information`](super::NormalEquations::information).
     pub information: f64,
     /// Directions of motion that were held.
     pub held: usize,
