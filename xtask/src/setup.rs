@@ -22,12 +22,41 @@ pub(crate) fn adapter(installing: Installing) -> Result<()> {
         println!("Graphics: nothing to set up, {} comes with a driver", std::env::consts::OS);
         return Ok(());
     }
+    compiler(installing)?;
     let found = Vulkan::of_this_machine();
     if found.is_ready() {
         describe(&found)
     } else {
         install_software_driver(&found, installing)?
     };
+    Ok(())
+}
+
+/// Makes sure that there is a C++ compiler, which two of the libraries are built with.
+fn compiler(installing: Installing) -> Result<()> {
+    if std::env::var_os("CXX").is_some() || succeeds(Command::new("c++").arg("--version")) {
+        return Ok(());
+    }
+    let debian = Distribution::of_this_machine() == Distribution::Debian;
+    let advice = "there is no C++ compiler (c++), which zstd and meshoptimizer are built with. Install one: on Debian and \
+                  Ubuntu, apt-get install build-essential";
+    let Some(become_root) = root_prefix(installing).filter(|_| debian) else { bail!(advice) };
+    println!("Compiler: there is none for C++. Installing g++ with apt-get");
+    apt_get_install(become_root, &["g++"], advice)
+}
+
+/// Installs packages as root.
+fn apt_get_install(mut become_root: Vec<&str>, packages: &[&str], advice: &str) -> Result<()> {
+    become_root.extend(["env", "DEBIAN_FRONTEND=noninteractive", "apt-get"]);
+    let apt_get = |arguments: &[&str]| {
+        run_quietly(Command::new(become_root[0]).args(&become_root[1..]).args(arguments)).context(advice.to_string())
+    };
+    let install = [&["install", "--yes", "--no-install-recommends"], packages].concat();
+    // Lists that are missing, as in a fresh container, or older than what the mirrors still hold both fail here.
+    if apt_get(&install).is_err() {
+        apt_get(&["update"])?;
+        apt_get(&install)?;
+    }
     Ok(())
 }
 
@@ -92,22 +121,12 @@ fn install_software_driver(found: &Vulkan, installing: Installing) -> Result<()>
         bail!("{lack}: the environment variable {variable} names no driver's manifest. Unset or correct it");
     }
     let distribution = Distribution::of_this_machine();
-    let Some(mut become_root) = root_prefix(installing).filter(|_| distribution == Distribution::Debian) else {
+    let Some(become_root) = root_prefix(installing).filter(|_| distribution == Distribution::Debian) else {
         bail!(advice(lack, distribution));
     };
     let packages = distribution.packages();
     println!("Graphics: {lack}. Installing {} with apt-get", packages.join(" "));
-    become_root.extend(["env", "DEBIAN_FRONTEND=noninteractive", "apt-get"]);
-    let apt_get = |arguments: &[&str]| {
-        run_quietly(Command::new(become_root[0]).args(&become_root[1..]).args(arguments))
-            .context(advice(lack, distribution))
-    };
-    let install = [&["install", "--yes", "--no-install-recommends"], packages].concat();
-    // Lists that are missing, as in a fresh container, or older than what the mirrors still hold both fail here.
-    if apt_get(&install).is_err() {
-        apt_get(&["update"])?;
-        apt_get(&install)?;
-    }
+    apt_get_install(become_root, packages, &advice(lack, distribution))?;
     let found = Vulkan::of_this_machine();
     if !found.is_ready() {
         bail!("{} are installed, and yet {}", packages.join(" and "), self::lack(&found));
