@@ -198,6 +198,16 @@ fn what_is_carried_away_disappears() {
 }
 
 #[test]
+fn a_folder_that_no_block_can_be_written_to_is_refused_at_once() {
+    let Some(device) = device() else { return };
+    let sequence = sequence(Path::Arc, (160, 120), 2);
+    let mut settings = settings(1.0);
+    settings.map.host_folder = "/nowhere/at/all".into();
+    let error = Slam::new(&device, &sequence.calibration(), &settings, Poses::Given).expect_err("refused");
+    assert!(error.to_string().contains("/nowhere/at/all"), "{error}");
+}
+
+#[test]
 fn deleted_blocks_make_room_for_ever() {
     let Some(device) = device() else { return };
     let sequence = sequence(Path::Loop, (160, 120), 80);

@@ -23,6 +23,23 @@ pub enum StoreFile {
     Kept(PathBuf),
 }
 
+impl StoreFile {
+    /// Whether a temporary file can be made in a folder that was chosen: better known before there is something to lose. The
+    /// system's own folder, and a kept file, are taken as they are.
+    ///
+    /// # Errors
+    /// Where it cannot, with the folder and the reason.
+    pub fn check(&self) -> Result<(), Error> {
+        match self {
+            Self::Temporary(Some(folder)) => match open(self) {
+                Ok(_gone_at_once) => Ok(()),
+                Err(reason) => Err(Error::io("create a file of blocks at", folder, reason)),
+            },
+            Self::Temporary(None) | Self::Kept(_) => Ok(()),
+        }
+    }
+}
+
 /// Whether a block found room where it should.
 #[must_use = "a store that cannot write its file goes on beyond its memory budget"]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -184,7 +184,7 @@ impl Mapper {
         let swaps = settings.map.swapping != Swapping::Off && !dense;
         let margin_m = if swaps { settings.map.swap_margin_m } else { 0.0 };
         map.check_view(&calibration.depth, settings.view.max_depth_m, settings.map.truncation_m.max(margin_m))?;
-        let swapped = swaps.then(|| Swapped::new(device, &map, &settings.map, largest_weight(settings)));
+        let swapped = swaps.then(|| Swapped::new(device, &map, &settings.map, largest_weight(settings))).transpose()?;
         let map_capacity = map.capacity();
         let sweeps = settings.map.empty_loss > 0 && !dense;
         let sweep = sweeps.then(|| (Swap::new(device), Transfer::new(device, &map, SWEPT_AT_ONCE)));

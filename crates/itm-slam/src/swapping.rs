@@ -17,7 +17,7 @@ use itm_core::voxel::{BLOCK_SIDE, BlockKey, VoxelKind};
 use itm_core::{Intrinsics, MapSettings, Se3};
 use itm_gpu::swap::{AGE_BINS, AgesReader, Arrivals, LeavingReader, Left, PlacesReader, Swap, Transfer, age_of_bin};
 use itm_gpu::{BlockMap, Device, HostBlock};
-use itm_io::block_store::{BlockStore, Placed, StoreFile};
+use itm_io::block_store::{BlockStore, StoreFile};
 
 use crate::Error;
 
@@ -91,15 +91,18 @@ pub(crate) struct Swapped {
 }
 
 impl Swapped {
-    pub(crate) fn new(device: &Device, map: &BlockMap, settings: &MapSettings, max_weight: u16) -> Self {
+    /// An empty store, whose file can be made.
+    pub(crate) fn new(device: &Device, map: &BlockMap, settings: &MapSettings, max_weight: u16) -> Result<Self, Error> {
         let folder = (!settings.host_folder.is_empty()).then(|| PathBuf::from(&settings.host_folder));
         let budget = (settings.host_budget_mib * f64::from(1 << 20)) as u64;
         let kind = map.layout().kind;
-        Self {
+        let file = StoreFile::Temporary(folder);
+        file.check()?;
+        Ok(Self {
             stage: Swap::new(device),
             outgoing: Transfer::new(device, map, settings.transfer_blocks),
             incoming: Transfer::new(device, map, settings.transfer_blocks),
-            store: BlockStore::new(kind.block_words(), budget, StoreFile::Temporary(folder)),
+            store: BlockStore::new(kind.block_words(), budget, file),
             kind,
             max_weight,
             voxel_size_m: settings.voxel_size_m,
@@ -110,7 +113,7 @@ impl Swapped {
             ages: vec![0; AGE_BINS],
             near: 0,
             changed: BTreeMap::new(),
-        }
+        })
     }
 
     /// When stored blocks were last changed.
@@ -129,18 +132,14 @@ impl Swapped {
     /// Puts a block into the store, fused with what lies there at its place.
     pub(crate) fn put(&mut self, key: BlockKey, words: &[u32]) -> Result<(), Error> {
         let mut stored = vec![0; self.kind.block_words()];
-        let placed = if self.store.get(key, &mut stored)? {
+        // Whether it is beyond the budget shows in the store's trouble, which each frame's report tells.
+        let _placed = if self.store.get(key, &mut stored)? {
             merge_blocks(self.kind, &mut stored, words, self.max_weight);
             self.store.put(key, &stored)
         } else {
             self.cells.insert(key);
             self.store.put(key, words)
         };
-        if placed == Placed::BeyondBudget
-            && let Some(trouble) = self.store.trouble()
-        {
-            tracing::warn!("blocks that leave the device stay in memory: {trouble}");
-        }
         Ok(())
     }
 
@@ -328,7 +327,8 @@ mod tests {
         let kind = VoxelKind::default();
         let layout = itm_gpu::MapLayout { voxel_size_m: 0.01, truncation_m: 0.04, kind };
         let map = BlockMap::new(&device, layout, 8).expect("a small map fits");
-        let mut swapped = Swapped::new(&device, &map, &settings, 100);
+        let mut swapped =
+            Swapped::new(&device, &map, &settings, 100).expect("the system has a folder for temporary files");
         let key = BlockKey { submap: 0, position: IVec3::new(1, 2, 3) };
         let block = |weight: u16| vec![itm_core::voxel::DistanceVoxel::new(0.5, weight).0; kind.block_words()];
         let left = |weight| Left { keys: vec![key], words: block(weight), changed: vec![7] };
