@@ -484,26 +484,13 @@ impl Gather {
         room: u32,
         to: &wgpu::Buffer,
     ) {
+        let block_words = map.layout().kind.block_words() as u32;
         let mut plane_start = 0;
         for plane in &map.planes {
             let plane_words = plane.block_words() as u32;
             for (words, page) in plane.pages.iter().zip(0..) {
-                let bindings = swap::gather::Bindings {
-                    params: swap::gather::Params {
-                        page,
-                        page_shift: map.page_shift(),
-                        plane_words,
-                        plane_start,
-                        block_words: map.layout().kind.block_words() as u32,
-                        unused_a: 0,
-                        unused_b: [0; 2],
-                    },
-                    listed,
-                    count,
-                    plane: words,
-                    transfer: to,
-                };
-                recorder.dispatch(&self.gather, &bindings, Groups::linear(u64::from(room).min(GATHERED_AT_ONCE), 1));
+                let part = Part { page, page_shift: map.page_shift(), plane_words, plane_start, block_words };
+                self.record(recorder, part, words, listed, count, room, to);
             }
             plane_start += plane_words;
         }
@@ -519,24 +506,44 @@ impl Gather {
         room: u32,
         to: &wgpu::Buffer,
     ) {
-        let bindings = swap::gather::Bindings {
-            params: swap::gather::Params {
-                // A table is one page, whatever it has.
-                page: 0,
-                page_shift: 31,
-                plane_words: 1,
-                plane_start: 0,
-                block_words: 1,
-                unused_a: 0,
-                unused_b: [0; 2],
-            },
-            listed,
-            count,
-            plane: table,
-            transfer: to,
+        // A table is one page, whatever it has.
+        let part = Part { page: 0, page_shift: 31, plane_words: 1, plane_start: 0, block_words: 1 };
+        self.record(recorder, part, table, listed, count, room, to);
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "a list of blocks, what is copied of each, and from where to where")]
+    fn record(
+        &self,
+        recorder: &mut Recorder,
+        part: Part,
+        plane: &wgpu::Buffer,
+        listed: &wgpu::Buffer,
+        count: &wgpu::Buffer,
+        room: u32,
+        to: &wgpu::Buffer,
+    ) {
+        let Part { page, page_shift, plane_words, plane_start, block_words } = part;
+        let params = swap::gather::Params {
+            page,
+            page_shift,
+            plane_words,
+            plane_start,
+            block_words,
+            unused_a: 0,
+            unused_b: [0; 2],
         };
+        let bindings = swap::gather::Bindings { params, listed, count, plane, transfer: to };
         recorder.dispatch(&self.gather, &bindings, Groups::linear(u64::from(room).min(GATHERED_AT_ONCE), 1));
     }
+}
+
+/// What is copied of each block out of one page, in words.
+struct Part {
+    page: u32,
+    page_shift: u32,
+    plane_words: u32,
+    plane_start: u32,
+    block_words: u32,
 }
 
 #[cfg(test)]
