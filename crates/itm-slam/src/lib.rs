@@ -21,6 +21,7 @@
 //! # }
 //! ```
 
+mod caster;
 mod chunked_mesh;
 mod chunks;
 mod decimate;

@@ -5,16 +5,10 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use glam::{IVec3, UVec3};
 use itm_core::voxel::{BEST_OBSERVATION, BlockKey, VoxelKind};
 use itm_core::{Calibration, DenseSettings, Intrinsics, MapIndex, ObservationWeight, Se3, Settings, Swapping};
-use itm_gpu::allocate::Allocate;
 use itm_gpu::changed::Changed;
-use itm_gpu::confidence::Confidence;
 use itm_gpu::hash::Hash;
 use itm_gpu::integrate::{Integrate, IntegrateOptions};
-use itm_gpu::normals::Normals;
-use itm_gpu::ranges::Ranges;
-use itm_gpu::raycast::Raycast;
 use itm_gpu::swap::{AGE_BINS, Arrivals, Gather, Left, PlacesReader, Swap, Transfer};
-use itm_gpu::visible::Visible;
 use itm_gpu::{
     BlockMap, Device, FrameRecord, HostBlock, MapLayout, MapState, RaycastImage, RecordReader, Recorder, StageTimes,
     View,
@@ -23,6 +17,7 @@ use itm_io::map_file::{MapReader, Tag};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::caster::Caster;
 use crate::live::LiveMap;
 use crate::swapping::{InMotion, Moved, Swapped, Viewed};
 
@@ -39,13 +34,8 @@ pub(crate) struct Mapper {
     calibration: Calibration,
     settings: Settings,
     pub(crate) map: BlockMap,
-    allocate: Allocate,
-    visible: Visible,
+    caster: Caster,
     integrate: Integrate,
-    ranges: Ranges,
-    raycast: Raycast,
-    normals: Normals,
-    confidence: Confidence,
     waiting: VecDeque<Waiting>,
     /// Largest number of blocks that one frame asked for lately; decays.
     demand: u32,
@@ -193,13 +183,8 @@ impl Mapper {
             calibration: *calibration,
             settings: settings.clone(),
             map,
-            allocate: Allocate::new(device),
-            visible: Visible::new(device),
+            caster: Caster::new(device),
             integrate: Integrate::new(device),
-            ranges: Ranges::new(device),
-            raycast: Raycast::new(device),
-            normals: Normals::new(device),
-            confidence: Confidence::new(device),
             waiting: VecDeque::new(),
             demand: 0,
             empty: true,
@@ -472,7 +457,7 @@ impl Mapper {
         } else if self.empty {
             // The first frame asks for more blocks than any other. Nothing waits for it yet, so room is made at once.
             let mut recorder = Recorder::new(&self.device);
-            self.allocate.record(&mut recorder, &self.map, view, world_from_camera);
+            self.caster.allocate.record(&mut recorder, &self.map, view, world_from_camera);
             let _untimed = recorder.submit();
             let record = self.map.read_record()?;
             if record.requested == 0 {
@@ -498,14 +483,14 @@ impl Mapper {
         }
         let arriving = arrivals.as_ref().map(|(_, arrivals)| arrivals);
         if dense {
-            self.allocate.fill_grid(&mut recorder, &self.map);
+            self.caster.allocate.fill_grid(&mut recorder, &self.map);
         } else {
-            self.allocate.record_with(&mut recorder, &self.map, Some((view, world_from_camera)), arriving);
+            self.caster.allocate.record_with(&mut recorder, &self.map, Some((view, world_from_camera)), arriving);
         }
         if let Some((keys, arrivals)) = arrivals {
             motion.places = self.record_merge(&mut recorder, &keys, &arrivals).map(|places| (keys, places));
         }
-        self.visible.record(&mut recorder, &self.map, &camera, world_from_camera, near, far);
+        self.caster.visible.record(&mut recorder, &self.map, &camera, world_from_camera, near, far);
         let options = IntegrateOptions {
             max_weight: largest_weight(&self.settings),
             stop_at_max_weight: self.settings.map.stop_at_max_weight,
@@ -522,13 +507,10 @@ impl Mapper {
             && self.frames.is_multiple_of(SWEEP_EVERY)
         {
             stage.record_emptied(&mut recorder, &self.map, transfer);
-            self.allocate.fill_grid(&mut recorder, &self.map);
-            self.visible.record(&mut recorder, &self.map, &camera, world_from_camera, near, far);
+            self.caster.allocate.fill_grid(&mut recorder, &self.map);
+            self.caster.visible.record(&mut recorder, &self.map, &camera, world_from_camera, near, far);
         }
-        self.ranges.record(&mut recorder, &self.map, model, world_from_camera);
-        self.raycast.record(&mut recorder, &self.map, model, world_from_camera, [near_m, far]);
-        self.normals.record(&mut recorder, model, world_from_camera);
-        self.confidence.record(&mut recorder, &self.map, model);
+        self.caster.cast(&mut recorder, &self.map, model, world_from_camera, [near_m, far]);
         let record = self.map.record_counters(&mut recorder);
         times.push(recorder.submit());
         self.waiting.push_back(Waiting {
@@ -648,7 +630,7 @@ impl Mapper {
             }
             let lacking = needed.saturating_sub(self.map.capacity());
             self.record_leaving(&mut recorder, &mut motion, viewed, (lacking > 0).then_some((lacking, 1)));
-            self.allocate.record_with(&mut recorder, &self.map, None, Some(&arrivals));
+            self.caster.allocate.record_with(&mut recorder, &self.map, None, Some(&arrivals));
             let places = self.record_merge(&mut recorder, &keys, &arrivals);
             motion.places = places.map(|places| (keys, places));
             let _untimed = recorder.submit();
@@ -692,15 +674,9 @@ impl Mapper {
         world_from_camera: &Se3,
         max_depth_m: f32,
     ) -> Result<(), Error> {
-        let camera = image.camera();
-        self.map.lay_grid(camera, world_from_camera, max_depth_m, 0.0)?;
+        self.map.lay_grid(image.camera(), world_from_camera, max_depth_m, 0.0)?;
         let mut recorder = Recorder::new(&self.device);
-        self.allocate.fill_grid(&mut recorder, &self.map);
-        self.visible.record(&mut recorder, &self.map, camera, world_from_camera, 0.0, max_depth_m);
-        self.ranges.record(&mut recorder, &self.map, image, world_from_camera);
-        self.raycast.record(&mut recorder, &self.map, image, world_from_camera, [0.01, max_depth_m]);
-        self.normals.record(&mut recorder, image, world_from_camera);
-        self.confidence.record(&mut recorder, &self.map, image);
+        self.caster.look(&mut recorder, &self.map, image, world_from_camera, max_depth_m);
         let _untimed = recorder.submit();
         Ok(())
     }

@@ -5,20 +5,12 @@ use std::collections::HashSet;
 use glam::{DVec2, DVec3, Vec3};
 use itm_core::voxel::{BEST_OBSERVATION, BLOCK_SIDE, BlockKey};
 use itm_core::{ColourImage, Image, Intrinsics, ObservationWeight, PointCloud, Se3, Settings};
-use itm_gpu::allocate::Allocate;
-use itm_gpu::confidence::Confidence;
-use itm_gpu::normals::Normals;
-use itm_gpu::ranges::Ranges;
-use itm_gpu::raycast::Raycast;
 use itm_gpu::render::{Render, Scale, Shading};
-use itm_gpu::visible::Visible;
 use itm_gpu::{BlockMap, Device, MapLayout, RaycastImage, Recorder};
 
 use crate::Error;
+use crate::caster::Caster;
 use crate::source::{BlockSource, upload};
-
-/// Nearest depth that is seen, in metres.
-const NEAR_M: f32 = 0.01;
 
 /// Looks at one submap of a map from any pose, with any camera.
 ///
@@ -33,12 +25,7 @@ pub struct MapViews {
     /// The blocks in `map`, and whether those are what the source has.
     held: HashSet<[u32; 2]>,
     current: Option<(RaycastImage, Se3)>,
-    allocate: Allocate,
-    visible: Visible,
-    ranges: Ranges,
-    raycast: Raycast,
-    normals: Normals,
-    confidence: Confidence,
+    caster: Caster,
     render: Render,
 }
 
@@ -56,12 +43,7 @@ impl MapViews {
             map: BlockMap::new(device, layout, 1)?,
             held: HashSet::new(),
             current: None,
-            allocate: Allocate::new(device),
-            visible: Visible::new(device),
-            ranges: Ranges::new(device),
-            raycast: Raycast::new(device),
-            normals: Normals::new(device),
-            confidence: Confidence::new(device),
+            caster: Caster::new(device),
             render: Render::new(device),
         })
     }
@@ -88,12 +70,7 @@ impl MapViews {
         self.map.lay_grid(camera, world_from_camera, max_depth_m, 0.0)?;
         self.fetch(source, camera, world_from_camera, max_depth_m)?;
         let mut recorder = Recorder::new(&self.device);
-        self.allocate.fill_grid(&mut recorder, &self.map);
-        self.visible.record(&mut recorder, &self.map, camera, world_from_camera, 0.0, max_depth_m);
-        self.ranges.record(&mut recorder, &self.map, &image, world_from_camera);
-        self.raycast.record(&mut recorder, &self.map, &image, world_from_camera, [NEAR_M, max_depth_m]);
-        self.normals.record(&mut recorder, &image, world_from_camera);
-        self.confidence.record(&mut recorder, &self.map, &image);
+        self.caster.look(&mut recorder, &self.map, &image, world_from_camera, max_depth_m);
         let _untimed = recorder.submit();
         self.current = Some((image, *world_from_camera));
         Ok(())
