@@ -24,7 +24,7 @@ const VARIANTS: &[(&str, &[Choice])] = &[
     ("photometric/map", &[PAGES]),
     ("photometric/sums", &[&[&[], &["rgb"]]]),
     ("query", &[F32, PAGES]),
-    ("raycast", &[F32, PAGES]),
+    ("raycast", &[F32, LISTED, PAGES]),
     ("render/colour", &[PAGES]),
     ("swap/empty", &[F32]),
     // Colours, confidences, distances of both kinds.
@@ -37,6 +37,7 @@ const F32: Choice = &[&[], &["f32"]];
 const COLOUR: Choice = &[&[], &["colour"]];
 const WEIGHTED: Choice = &[&[], &["weighted"]];
 const CONFIDENCE: Choice = &[&[], &["confidence"]];
+const LISTED: Choice = &[&[], &["listed"]];
 const PAGES: Choice = &[&[], &["pages2"], &["pages2", "pages3"], &["pages2", "pages3", "pages4"]];
 
 /// All combinations of choices, each one's features in the choices' order.

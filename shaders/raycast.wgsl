@@ -1,9 +1,10 @@
 // Casts a ray for each pixel and finds where it enters a surface (the report, section 3.4). Rays start and end where the
-// range image says.
+// range image says. With `listed`, only for the pixels of a list.
 import package::shared::camera::{Camera, unproject};
 import package::shared::distance::{load_distance_or_zero, unpack_distance, unpack_weight, interpolate};
 import package::shared::grid::find_in_grid;
 import package::shared::map::{Map, block_of, index_in_block};
+@if(listed) import package::shared::pixels::{COUNT, FIRST};
 
 struct Params {
     camera: Camera,
@@ -28,6 +29,19 @@ const SEARCH_SURFACE: u32 = 2u;
 const BEHIND_SURFACE: u32 = 3u;
 const WRONG_SIDE: u32 = 4u;
 
+@if(listed)
+@group(0) @binding(8) var<storage, read> missing: array<u32>;
+
+@if(listed)
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var i = id.x; i < missing[COUNT]; i += groups.x * 64u) {
+        let pixel = missing[FIRST + i];
+        points[pixel] = cast_ray(vec2(pixel % params.camera.size.x, pixel / params.camera.size.x));
+    }
+}
+
+@if(!listed)
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let size = params.camera.size;

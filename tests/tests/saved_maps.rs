@@ -113,6 +113,71 @@ fn a_map_beyond_the_devices_budget_is_the_same_map() {
     }
 }
 
+/// A disk that is full from the first block on: what left the device stays in memory, and the run goes on, saying so.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_loses_nothing_that_is_in_the_map() {
+    let Some(device) = device() else { return };
+    let sequence = sequence(Path::Loop, (160, 120), 80);
+    let mut settings = settings(3.0);
+    settings.map.host_budget_mib = 0.5;
+    settings.map.host_file = "/dev/full".into();
+    let mut slam = start(&device, &sequence, &settings, Poses::Given);
+    let mut reasons = Vec::new();
+    let mut stored = 0;
+    for frame in sequence.frames() {
+        let result = slam.process(&frame).expect("a result");
+        let notices = result.report.into_iter().flat_map(|report| report.notices);
+        reasons.extend(notices.filter_map(|notice| match notice {
+            Notice::HostStore { reason } => Some(reason),
+            _ => None,
+        }));
+        // Nothing more leaves, and nothing that did is lost: it comes back when it is seen.
+        stored = slam.stored_blocks().max(stored);
+    }
+    assert!(stored > 0 && reasons.len() > 10, "{stored} blocks were stored, and {} frames said", reasons.len());
+    assert!(reasons.iter().all(|reason| reason.contains("/dev/full")), "{}", reasons[0]);
+    assert_eq!(slam.trajectory().len(), 80);
+    // Every block is still in the mesh: the part of the scene that the first frames saw is whole.
+    let mut unbounded = start(&device, &sequence, &self::settings(0.0), Poses::Given);
+    process(&mut unbounded, &sequence, 0..15);
+    let first = unbounded.mesh(&mut |_, _| ()).expect("a mesh");
+    let all = slam.mesh(&mut |_, _| ()).expect("a mesh");
+    let near = share_near(&first.positions, &all.positions, 0.02);
+    assert!(near > 0.99, "{near} of what was seen first is in the mesh");
+}
+
+#[test]
+fn tracking_against_projected_points_repeats_and_goes_on_after_a_save() {
+    let Some(device) = device() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let sequence = sequence(Path::Loop, (160, 120), 40);
+    let mut settings = settings(0.0);
+    settings.tracker.forward_projection.enabled = true;
+    // The camera moves by more than the report's 22 mm between frames of so short a way round.
+    settings.tracker.forward_projection.max_move_m = 0.2;
+    let mut whole = start(&device, &sequence, &settings, Poses::Tracked);
+    process(&mut whole, &sequence, 0..40);
+    assert_eq!(whole.trajectory().len(), 40);
+    let truth = sequence.frames().map(|frame| frame.world_from_camera.expect("a pose"));
+    let first = sequence.frames().next().and_then(|frame| frame.world_from_camera).expect("a pose");
+    for (found, truth) in whole.trajectory().poses().iter().zip(truth) {
+        let error = (first.inverse() * truth).translation.distance(found.world_from_camera.translation);
+        assert!(error < 0.02, "{error} m off at {:?}", found.timestamp);
+    }
+    let mut half = start(&device, &sequence, &settings, Poses::Tracked);
+    process(&mut half, &sequence, 0..22);
+    half.save(&folder.path().join("half.itm")).expect("saved");
+    let mut second = Slam::resume(&device, &folder.path().join("half.itm")).expect("resumed");
+    process(&mut second, &sequence, 22..40);
+    assert!(second.trajectory() == whole.trajectory());
+    // It is not the full raycast.
+    settings.tracker.forward_projection.enabled = false;
+    let mut full = start(&device, &sequence, &settings, Poses::Tracked);
+    process(&mut full, &sequence, 0..40);
+    assert!(full.trajectory() != whole.trajectory());
+}
+
 /// The share of points that have one of others within a distance.
 fn share_near(points: &[Vec3], others: &[Vec3], distance: f32) -> f64 {
     let cell = |p: Vec3| (p / distance).floor().as_ivec3();
@@ -205,6 +270,9 @@ fn a_folder_that_no_block_can_be_written_to_is_refused_at_once() {
     settings.map.host_folder = "/nowhere/at/all".into();
     let error = Slam::new(&device, &sequence.calibration(), &settings, Poses::Given).expect_err("refused");
     assert!(error.to_string().contains("/nowhere/at/all"), "{error}");
+    settings.map.host_file = "/nowhere/at/all.blocks".into();
+    let error = Slam::new(&device, &sequence.calibration(), &settings, Poses::Given).expect_err("refused");
+    assert!(error.to_string().contains("/nowhere/at/all.blocks"), "{error}");
 }
 
 #[test]

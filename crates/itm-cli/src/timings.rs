@@ -6,8 +6,20 @@ use std::io::{self, Write};
 use itm_slam::{FrameReport, FrameResult, FrameStatus, Timestamp};
 
 /// The stages in the order of the pipeline. `track` is measured on the host, waits included, the others on the device.
-pub(crate) const STAGES: [&str; 11] =
-    ["view", "track", "hash", "swap", "allocate", "visible", "integrate", "ranges", "raycast", "normals", "confidence"];
+pub(crate) const STAGES: [&str; 12] = [
+    "view",
+    "track",
+    "hash",
+    "swap",
+    "allocate",
+    "visible",
+    "integrate",
+    "ranges",
+    "forward",
+    "raycast",
+    "normals",
+    "confidence",
+];
 
 /// Rows are handed to the operating system after so many frames.
 const FLUSH_EVERY: usize = 30;

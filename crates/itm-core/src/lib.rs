@@ -36,7 +36,8 @@ pub use points::PointCloud;
 pub use se3::{PoseError, Se3};
 pub use settings::{
     BilateralSettings, CompositePolicy, CompositeSettings, DenseSettings, DepthWeight, DeviceSettings,
-    ExtendedSettings, FileSettings, IcpSettings, ImuSettings, MapIndex, MapSettings, ObservationWeight, OnFailure,
-    RgbSettings, Settings, SettingsError, Swapping, TrackerKind, TrackerSettings, VerdictSettings, ViewSettings,
+    ExtendedSettings, FileSettings, ForwardProjectionSettings, IcpSettings, ImuSettings, MapIndex, MapSettings,
+    ObservationWeight, OnFailure, RgbSettings, Settings, SettingsError, Swapping, TrackerKind, TrackerSettings,
+    VerdictSettings, ViewSettings,
 };
 pub use trajectory::{StampedPose, Trajectory};

@@ -13,6 +13,7 @@ pub mod confidence;
 mod device;
 mod error;
 pub mod evaluate;
+pub mod forward;
 pub mod hash;
 pub mod icp;
 pub mod integrate;

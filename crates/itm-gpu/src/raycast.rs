@@ -88,11 +88,42 @@ pub(crate) fn page_features(pages: usize) -> &'static [&'static str] {
     &["pages2", "pages3", "pages4"][..pages.clamp(1, 4) - 1]
 }
 
-/// The stage's pipelines, compiled when first needed: one for each kind of distance and number of pages.
+/// Pixels of an image for which rays are to be cast.
+#[derive(Debug)]
+pub struct RayList {
+    /// Workgroups as an indirect dispatch takes them, the number of pixels, and those.
+    pub(crate) words: wgpu::Buffer,
+}
+
+impl RayList {
+    /// An empty list with room for so many.
+    pub(crate) fn new(device: &Device, pixels: u64) -> Self {
+        let words = device.storage("missing pixels", 16 + pixels * 4);
+        device.queue.write_buffer(&words, 0, bytemuck::cast_slice(&[0_u32, 1, 1, 0]));
+        Self { words }
+    }
+
+    pub(crate) fn record_clear(&self, recorder: &mut Recorder) {
+        for word in [0, 3] {
+            recorder.clear_word(&self.words, word);
+        }
+    }
+
+    /// Reads the number of pixels back. Waits. For tests.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn read_len(&self, device: &Device) -> Result<usize, Error> {
+        let words: Vec<u32> = device.read(&self.words, 0, 16)?;
+        Ok(words[3] as usize)
+    }
+}
+
+/// The stage's pipelines, compiled when first needed: one for each kind of distance, all pixels or a list, and number of pages.
 #[derive(Debug)]
 pub struct Raycast {
     device: Device,
-    variants: [[OnceLock<Pipeline>; 4]; 2],
+    variants: [[[OnceLock<Pipeline>; 4]; 2]; 2],
 }
 
 impl Raycast {
@@ -110,12 +141,38 @@ impl Raycast {
         world_from_camera: &Se3,
         depth_range_m: [f32; 2],
     ) {
+        self.dispatch(recorder, map, image, None, world_from_camera, depth_range_m);
+    }
+
+    /// The same for the pixels of a list; the others stay as they are.
+    pub fn record_listed(
+        &self,
+        recorder: &mut Recorder,
+        map: &BlockMap,
+        image: &RaycastImage,
+        list: &RayList,
+        world_from_camera: &Se3,
+        depth_range_m: [f32; 2],
+    ) {
+        self.dispatch(recorder, map, image, Some(list), world_from_camera, depth_range_m);
+    }
+
+    fn dispatch(
+        &self,
+        recorder: &mut Recorder,
+        map: &BlockMap,
+        image: &RaycastImage,
+        list: Option<&RayList>,
+        world_from_camera: &Se3,
+        depth_range_m: [f32; 2],
+    ) {
         recorder.stage("raycast");
         let pages = map.distances();
-        let features = [map.distance_features(), page_features(pages.len())].concat();
+        let listed: &[&str] = if list.is_some() { &["listed"] } else { &[] };
+        let features = [map.distance_features(), listed, page_features(pages.len())].concat();
         let of_kind = &self.variants[usize::from(map.layout().kind.distance == DistanceKind::F32)];
-        let pipeline =
-            of_kind[pages.len() - 1].get_or_init(|| Pipeline::new(&self.device, &raycast::PASS, &features, &[]));
+        let pipeline = of_kind[usize::from(list.is_some())][pages.len() - 1]
+            .get_or_init(|| Pipeline::new(&self.device, &raycast::PASS, &features, &[]));
         let bindings = raycast::Bindings {
             params: raycast::Params {
                 camera: camera_params(&image.camera, depth_range_m),
@@ -131,8 +188,13 @@ impl Raycast {
             distance1: pages.get(1),
             distance2: pages.get(2),
             distance3: pages.get(3),
+            missing: list.map(|list| &list.words),
         };
         let size = (image.camera.width, image.camera.height);
-        recorder.dispatch(pipeline, &bindings, Groups::image(size, (8, 8)));
+        let groups = match list {
+            Some(list) => Groups::Indirect(&list.words, 0),
+            None => Groups::image(size, (8, 8)),
+        };
+        recorder.dispatch(pipeline, &bindings, groups);
     }
 }

@@ -24,18 +24,18 @@ pub enum StoreFile {
 }
 
 impl StoreFile {
-    /// Whether a temporary file can be made in a folder that was chosen: better known before there is something to lose. The
-    /// system's own folder, and a kept file, are taken as they are.
+    /// Whether the file can be made, where its place was chosen: better known before there is something to lose. A kept file is
+    /// made by it. The system's own folder is taken as it is.
     ///
     /// # Errors
-    /// Where it cannot, with the folder and the reason.
+    /// Where it cannot, with the place and the reason.
     pub fn check(&self) -> Result<(), Error> {
         match self {
-            Self::Temporary(Some(folder)) => match open(self) {
-                Ok(_gone_at_once) => Ok(()),
-                Err(reason) => Err(Error::io("create a file of blocks at", folder, reason)),
+            Self::Temporary(Some(path)) | Self::Kept(path) => match open(self) {
+                Ok(_closed_at_once) => Ok(()),
+                Err(reason) => Err(Error::io("create a file of blocks at", path, reason)),
             },
-            Self::Temporary(None) | Self::Kept(_) => Ok(()),
+            Self::Temporary(None) => Ok(()),
         }
     }
 }

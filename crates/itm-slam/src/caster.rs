@@ -3,6 +3,7 @@
 use itm_core::{Intrinsics, Se3};
 use itm_gpu::allocate::Allocate;
 use itm_gpu::confidence::Confidence;
+use itm_gpu::forward::Forward;
 use itm_gpu::normals::Normals;
 use itm_gpu::ranges::Ranges;
 use itm_gpu::raycast::Raycast;
@@ -10,7 +11,7 @@ use itm_gpu::visible::Visible;
 use itm_gpu::{BlockMap, Device, RaycastImage, Recorder};
 
 /// Nearest depth that is seen, in metres.
-const NEAR_M: f32 = 0.01;
+pub(crate) const NEAR_M: f32 = 0.01;
 
 /// The stages that show a map.
 #[derive(Debug)]
@@ -72,6 +73,27 @@ impl Caster {
     ) {
         self.ranges.record(recorder, map, image, world_from_camera);
         self.raycast.record(recorder, map, image, world_from_camera, depth_range_m);
+        self.complete(recorder, map, image, world_from_camera);
+    }
+
+    /// Records that the image's points are projected forward to a pose, and a ray for each pixel that none falls into.
+    pub(crate) fn cast_forward(
+        &self,
+        recorder: &mut Recorder,
+        map: &BlockMap,
+        image: &RaycastImage,
+        forward: &Forward,
+        world_from_camera: &Se3,
+        depth_range_m: [f32; 2],
+    ) {
+        self.ranges.record(recorder, map, image, world_from_camera);
+        let missing = forward.record(recorder, image, world_from_camera, depth_range_m);
+        self.raycast.record_listed(recorder, map, image, missing, world_from_camera, depth_range_m);
+        self.complete(recorder, map, image, world_from_camera);
+    }
+
+    /// Records what is made of an image's points.
+    fn complete(&self, recorder: &mut Recorder, map: &BlockMap, image: &RaycastImage, world_from_camera: &Se3) {
         self.normals.record(recorder, image, world_from_camera);
         self.confidence.record(recorder, map, image);
     }

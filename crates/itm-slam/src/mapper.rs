@@ -2,10 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use glam::{IVec3, UVec3};
+use glam::{DVec3, IVec3, UVec3};
 use itm_core::voxel::{BEST_OBSERVATION, BlockKey, VoxelKind};
 use itm_core::{Calibration, DenseSettings, Intrinsics, MapIndex, ObservationWeight, Se3, Settings, Swapping};
 use itm_gpu::changed::Changed;
+use itm_gpu::forward::Forward;
 use itm_gpu::hash::Hash;
 use itm_gpu::integrate::{Integrate, IntegrateOptions};
 use itm_gpu::swap::{AGE_BINS, Arrivals, Gather, Left, PlacesReader, Swap, Transfer};
@@ -17,7 +18,7 @@ use itm_io::map_file::{MapReader, Tag};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::caster::Caster;
+use crate::caster::{Caster, NEAR_M};
 use crate::live::LiveMap;
 use crate::swapping::{InMotion, Moved, Swapped, Viewed};
 
@@ -35,6 +36,10 @@ pub(crate) struct Mapper {
     settings: Settings,
     pub(crate) map: BlockMap,
     caster: Caster,
+    /// Projects the last frame's points, where the settings ask for it.
+    forward: Option<Forward>,
+    /// The last full raycast that tracking used: frames since then, and the camera's centre.
+    full_cast: Option<(u32, DVec3)>,
     integrate: Integrate,
     waiting: VecDeque<Waiting>,
     /// Largest number of blocks that one frame asked for lately; decays.
@@ -92,6 +97,7 @@ pub(crate) struct MapperState {
     clock: u32,
     leaving: Option<(u32, u32)>,
     rebuild: bool,
+    full_cast: Option<(u32, [f64; 3])>,
     ages: Vec<u32>,
     near: u32,
     arriving: Vec<[u32; 2]>,
@@ -184,6 +190,8 @@ impl Mapper {
             settings: settings.clone(),
             map,
             caster: Caster::new(device),
+            forward: settings.tracker.forward_projection.enabled.then(|| Forward::new(device, &calibration.depth)),
+            full_cast: None,
             integrate: Integrate::new(device),
             waiting: VecDeque::new(),
             demand: 0,
@@ -227,6 +235,7 @@ impl Mapper {
             clock: self.clock,
             leaving: self.leaving,
             rebuild: self.rebuild,
+            full_cast: self.full_cast.map(|(frames, centre)| (frames, centre.to_array())),
             ages: swapped.map(|s| s.ages.clone()).unwrap_or_default(),
             near: swapped.map_or(0, |s| s.near),
             arriving: swapped.map(|s| s.arriving.iter().copied().collect()).unwrap_or_default(),
@@ -313,6 +322,7 @@ impl Mapper {
         self.clock = state.clock;
         self.leaving = state.leaving;
         self.rebuild = state.rebuild;
+        self.full_cast = state.full_cast.map(|(frames, centre)| (frames, centre.into()));
         if let Some(swapped) = &mut self.swapped {
             swapped.ages = std::mem::take(&mut state.ages);
             swapped.ages.resize(AGE_BINS, 0);
@@ -510,7 +520,7 @@ impl Mapper {
             self.caster.allocate.fill_grid(&mut recorder, &self.map);
             self.caster.visible.record(&mut recorder, &self.map, &camera, world_from_camera, near, far);
         }
-        self.caster.cast(&mut recorder, &self.map, model, world_from_camera, [near_m, far]);
+        self.record_model(&mut recorder, model, world_from_camera, [near_m, far]);
         let record = self.map.record_counters(&mut recorder);
         times.push(recorder.submit());
         self.waiting.push_back(Waiting {
@@ -649,36 +659,64 @@ impl Mapper {
         max_depth_m: f32,
     ) -> Result<RaycastImage, Error> {
         let image = RaycastImage::new(&self.device, *camera)?;
-        self.cast_into(&image, world_from_camera, max_depth_m)?;
+        self.map.lay_grid(camera, world_from_camera, max_depth_m, 0.0)?;
+        let mut recorder = Recorder::new(&self.device);
+        self.caster.look(&mut recorder, &self.map, &image, world_from_camera, max_depth_m);
+        let _untimed = recorder.submit();
         Ok(image)
     }
 
-    /// Casts the map into an image for tracking that goes on from a pose, for which stored blocks come back. Waits for those.
+    /// Casts the map into an image for tracking that goes on from a pose that follows from none before. Stored blocks come
+    /// back for it; waits for those.
     pub(crate) fn cast_for_tracking(
         &mut self,
         image: &RaycastImage,
         world_from_camera: &Se3,
         max_depth_m: f32,
     ) -> Result<(), Error> {
-        let margin_m = self.settings.map.swap_margin_m;
-        self.map.lay_grid(image.camera(), world_from_camera, max_depth_m, margin_m)?;
-        let camera = *image.camera();
-        self.fetch(&Viewed { camera: &camera, world_from_camera, depth_range_m: [0.0, max_depth_m] })?;
-        self.cast_into(image, world_from_camera, max_depth_m)
+        self.full_cast = None;
+        self.follow(image, world_from_camera, max_depth_m)
     }
 
-    /// As [`Mapper::cast`], into an image.
-    pub(crate) fn cast_into(
+    /// The same for the pose of a frame that is not fused.
+    pub(crate) fn follow(
         &mut self,
         image: &RaycastImage,
         world_from_camera: &Se3,
         max_depth_m: f32,
     ) -> Result<(), Error> {
-        self.map.lay_grid(image.camera(), world_from_camera, max_depth_m, 0.0)?;
+        let camera = *image.camera();
+        self.map.lay_grid(&camera, world_from_camera, max_depth_m, self.settings.map.swap_margin_m)?;
+        self.fetch(&Viewed { camera: &camera, world_from_camera, depth_range_m: [0.0, max_depth_m] })?;
+        self.map.lay_grid(&camera, world_from_camera, max_depth_m, 0.0)?;
         let mut recorder = Recorder::new(&self.device);
-        self.caster.look(&mut recorder, &self.map, image, world_from_camera, max_depth_m);
+        self.caster.find(&mut recorder, &self.map, &camera, world_from_camera, max_depth_m);
+        self.record_model(&mut recorder, image, world_from_camera, [NEAR_M, max_depth_m]);
         let _untimed = recorder.submit();
         Ok(())
+    }
+
+    /// Records what the next frame is tracked against: the map cast anew, or, where the settings ask for it, what the last
+    /// frame was tracked against, projected forward.
+    fn record_model(
+        &mut self,
+        recorder: &mut Recorder,
+        model: &RaycastImage,
+        world_from_camera: &Se3,
+        depth_range_m: [f32; 2],
+    ) {
+        let settings = &self.settings.tracker.forward_projection;
+        let centre = world_from_camera.translation;
+        if let (Some(forward), Some((frames, full_at))) = (&self.forward, self.full_cast)
+            && frames < settings.max_frames
+            && centre.distance(full_at) <= settings.max_move_m
+        {
+            self.caster.cast_forward(recorder, &self.map, model, forward, world_from_camera, depth_range_m);
+            self.full_cast = Some((frames + 1, full_at));
+        } else {
+            self.caster.cast(recorder, &self.map, model, world_from_camera, depth_range_m);
+            self.full_cast = Some((0, centre));
+        }
     }
 }
 

@@ -349,7 +349,7 @@ impl Slam {
                 }
             } else {
                 let far = self.settings.view.max_depth_m + self.settings.map.truncation_m;
-                self.mapper.cast_for_tracking(&self.model, &world_from_camera, far)?;
+                self.mapper.follow(&self.model, &world_from_camera, far)?;
             }
             if let Some(world_from_camera) = pose {
                 self.age.frames += u64::from(fused);

@@ -93,10 +93,13 @@ pub(crate) struct Swapped {
 impl Swapped {
     /// An empty store, whose file can be made.
     pub(crate) fn new(device: &Device, map: &BlockMap, settings: &MapSettings, max_weight: u16) -> Result<Self, Error> {
-        let folder = (!settings.host_folder.is_empty()).then(|| PathBuf::from(&settings.host_folder));
         let budget = (settings.host_budget_mib * f64::from(1 << 20)) as u64;
         let kind = map.layout().kind;
-        let file = StoreFile::Temporary(folder);
+        let named = |path: &str| (!path.is_empty()).then(|| PathBuf::from(path));
+        let file = match named(&settings.host_file) {
+            Some(path) => StoreFile::Kept(path),
+            None => StoreFile::Temporary(named(&settings.host_folder)),
+        };
         file.check()?;
         Ok(Self {
             stage: Swap::new(device),

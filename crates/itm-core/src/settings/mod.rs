@@ -8,8 +8,8 @@ use thiserror::Error;
 
 use crate::voxel::{BEST_OBSERVATION, DistanceKind};
 pub use tracker::{
-    CompositePolicy, CompositeSettings, DepthWeight, ExtendedSettings, FileSettings, IcpSettings, ImuSettings,
-    OnFailure, RgbSettings, TrackerKind, TrackerSettings, VerdictSettings,
+    CompositePolicy, CompositeSettings, DepthWeight, ExtendedSettings, FileSettings, ForwardProjectionSettings,
+    IcpSettings, ImuSettings, OnFailure, RgbSettings, TrackerKind, TrackerSettings, VerdictSettings,
 };
 
 /// All settings of a run.
@@ -126,7 +126,10 @@ pub struct MapSettings {
     /// Host memory that blocks which left the device may take, in MiB; more of them lie in a file.
     pub host_budget_mib: f64,
     /// Folder of that file, which has no name and is gone with the run; empty for the system's folder for temporary files.
+    /// Some systems keep that one in memory: name one on a disk there.
     pub host_folder: String,
+    /// Path of a file to take instead, which stays when the run ends and is overwritten by the next. Empty for none.
+    pub host_file: String,
     /// Blocks that are transferred in a frame at most, each way.
     pub transfer_blocks: u32,
     /// Blocks come back to the device once they are within this many metres of the view, and do not leave before they are
@@ -212,6 +215,7 @@ impl Default for MapSettings {
             swapping: Swapping::Host,
             host_budget_mib: 2048.0,
             host_folder: String::new(),
+            host_file: String::new(),
             transfer_blocks: 4096,
             swap_margin_m: 0.1,
             track_changes: false,

@@ -35,6 +35,8 @@ pub struct TrackerSettings {
     pub file: FileSettings,
     /// Several trackers together.
     pub composite: CompositeSettings,
+    /// Whether the map is cast anew for each frame.
+    pub forward_projection: ForwardProjectionSettings,
     /// When a frame counts as tracked.
     pub verdict: VerdictSettings,
 }
@@ -53,8 +55,29 @@ impl Default for TrackerSettings {
             imu: ImuSettings::default(),
             file: FileSettings::default(),
             composite: CompositeSettings::default(),
+            forward_projection: ForwardProjectionSettings::default(),
             verdict: VerdictSettings::default(),
         }
+    }
+}
+
+/// The surface that the next frame is tracked against, approximated: the points of the frame before are projected forward, and
+/// rays are cast only where none of them falls (the report, section 3.4 and its settings). Faster than a full raycast, but
+/// points lag behind the map by as many frames as none is made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ForwardProjectionSettings {
+    /// Whether to do so.
+    pub enabled: bool,
+    /// After so many frames in a row there is a full raycast.
+    pub max_frames: u32,
+    /// So there is where the camera has moved further than this since the last one, in metres: the report's 0.0005 m², squared.
+    pub max_move_m: f64,
+}
+
+impl Default for ForwardProjectionSettings {
+    fn default() -> Self {
+        Self { enabled: false, max_frames: 5, max_move_m: 0.02236 }
     }
 }
 
@@ -384,7 +407,7 @@ impl TrackerSettings {
     /// # Errors
     /// The first value out of range.
     pub fn validate(&self) -> Result<(), SettingsError> {
-        let Self { min_information, icp, extended, rgb, imu, verdict, .. } = self;
+        let Self { min_information, icp, extended, rgb, imu, forward_projection, verdict, .. } = self;
         let positive = |v: f64| v.is_finite() && v >= 0.0;
         check(positive(*min_information), "tracker.min_information", "zero or positive", min_information)?;
         for (key, levels) in [
@@ -422,6 +445,7 @@ impl TrackerSettings {
             ("tracker.extended.enough_information", extended.enough_information),
             ("tracker.extended.min_colour_gradient", extended.min_colour_gradient.into()),
             ("tracker.rgb.min_step", rgb.min_step),
+            ("tracker.forward_projection.max_move_m", forward_projection.max_move_m),
             ("tracker.rgb.min_decrease", rgb.min_decrease),
         ] {
             check(positive(v), key, "zero or positive", v)?;
