@@ -10,6 +10,7 @@ use itm_core::PointCloud;
 use itm_io::mesh::{self as mesh_file, UpAxis};
 use itm_io::points as point_file;
 use itm_slam::{MeshOptions, decimate};
+use serde_json::json;
 
 use crate::console;
 use crate::maps::{self, MIB};
@@ -56,6 +57,9 @@ pub(crate) struct Arguments {
     /// Adapter: auto, a number from 'itm devices' or a part of its name [default: that of the map's settings]
     #[arg(long)]
     device: Option<String>,
+    /// Print what was made as JSON
+    #[arg(long)]
+    json: bool,
     /// Show no progress and print nothing
     #[arg(short, long)]
     quiet: bool,
@@ -109,7 +113,16 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     } else {
         mesh_file::write(out, &mesh, &mesh_file::MeshOptions { up })?;
     }
-    if !arguments.quiet {
+    if arguments.json {
+        console::print_json(&json!({
+            "file": out,
+            "vertices": vertices,
+            "triangles": if arguments.points { 0 } else { triangles },
+            "blocks": map.blocks(),
+            "triangles_meshed": found,
+            "seconds_meshing": seconds,
+        }))?;
+    } else if !arguments.quiet {
         let size = std::fs::metadata(out).map_or(0, |m| m.len()) as f64 / MIB as f64;
         let shown = out.display();
         let what = if arguments.points {

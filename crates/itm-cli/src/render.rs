@@ -9,7 +9,9 @@ use glam::{DQuat, DVec3};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder as _};
 use itm_core::{Image, Intrinsics, Se3, Settings};
+use itm_io::mesh::UpAxis;
 use itm_slam::{BlockSource as _, MapViews, SavedMap, Scale, Shading, full_confidence};
+use serde_json::json;
 
 use crate::{console, maps, pictures, synth};
 
@@ -22,17 +24,22 @@ const MAX_BLOCKS: u32 = 65_536;
 /// (near; hardly known) to yellow (at --max-depth; known as well as the map's settings allow). With depth comes a second
 /// file, NAME-mm.png: 16-bit millimetres, 0 where there is none.
 ///
+/// With --points, what each pose sees is written as a point cloud in the map's world: positions, normals, weights, and
+/// colours and confidences where the map has them.
+///
 /// Only blocks in view go to the device.
 #[derive(Args)]
 #[command(after_help = "\
 Examples:
   itm render room.itm -o views --every 10            along the map's own trajectory, a file a pose
   itm render room.itm -o front.png --pose=0,0,-1,0,0,0,1 --kind colour --size 1280x720 --fov 70 --max-depth 6
-  itm render room.itm -o views --trajectory other.txt --kind depth --camera calibration.txt")]
+  itm render room.itm -o views --trajectory other.txt --kind depth --camera calibration.txt
+  itm render room.itm -o seen.ply --points --pose=0,0,-1,0,0,0,1")]
 pub(crate) struct Arguments {
     /// The map file
     map: PathBuf,
-    /// PNG file to write, or without --pose the folder for a file a pose, made where it is missing
+    /// File to write: .png, or with --points .ply, .pcd or .xyz; without --pose the folder for a file a pose, made where it is
+    /// missing
     #[arg(short, long)]
     out: PathBuf,
     /// The camera's position in metres and its rotation as a unit quaternion, camera to world
@@ -48,6 +55,9 @@ pub(crate) struct Arguments {
     /// What to show
     #[arg(long, value_enum, default_value_t = Kind::Grey)]
     kind: Kind,
+    /// Write the surface that each pose sees as a point cloud
+    #[arg(long, conflicts_with = "kind")]
+    points: bool,
     /// Width and height in pixels [default: the camera's; 640x480 with --fov]
     #[arg(long, value_parser = synth::parse_size)]
     size: Option<(u32, u32)>,
@@ -69,6 +79,9 @@ pub(crate) struct Arguments {
     /// Adapter: auto, a number from 'itm devices' or a part of its name [default: that of the map's settings]
     #[arg(long)]
     device: Option<String>,
+    /// Print what was written as JSON
+    #[arg(long)]
+    json: bool,
     /// Show no progress and print nothing
     #[arg(short, long)]
     quiet: bool,
@@ -120,38 +133,65 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     }
     let device = maps::device(arguments.device.as_deref(), &map)?;
     let mut views = MapViews::new(&device, map.layout(), arguments.submap, MAX_BLOCKS)?;
-    let bar = console::bar(poses.len() as u64, "pictures", arguments.quiet);
+    let bar = console::bar(poses.len() as u64, "views", arguments.quiet);
+    let (mut files, mut points) = (Vec::new(), 0);
     for (i, pose) in poses.iter().enumerate() {
+        let extension = if arguments.points { "ply" } else { "png" };
         let path = match arguments.pose {
             Some(_) => arguments.out.clone(),
-            None => arguments.out.join(format!("{:06}.png", i * arguments.every as usize)),
+            None => arguments.out.join(format!("{:06}.{extension}", i * arguments.every as usize)),
         };
         views.look(&mut map, &camera, pose, max_depth_m)?;
-        let shading = match arguments.kind {
+        if arguments.points {
+            let seen = views.points()?;
+            points += seen.positions.len();
+            itm_io::points::write(&path, &seen, UpAxis::default())?;
+        } else {
+            arguments.draw(&views, &scale, &path)?;
+        }
+        files.push(path);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let (count, size) = (poses.len(), (camera.width, camera.height));
+    if arguments.json {
+        let mut answer = json!({ "files": files, "width": size.0, "height": size.1 });
+        if arguments.points {
+            answer["points"] = points.into();
+        }
+        console::print_json(&answer)?;
+    } else if !arguments.quiet {
+        let shown = arguments.out.display();
+        let what = match (arguments.points, count) {
+            (true, 1) => format!("{points} points"),
+            (true, _) => format!("{count} clouds, {points} points in all"),
+            (false, 1) => "1 picture".into(),
+            (false, _) => format!("{count} pictures"),
+        };
+        console::print(format_args!("{shown}: {what} of {}x{} pixels", size.0, size.1))?;
+    }
+    Ok(0)
+}
+
+impl Arguments {
+    /// Writes a picture of the view, with depth its millimetres as well.
+    fn draw(&self, views: &MapViews, scale: &Scale, path: &Path) -> Result<()> {
+        let shading = match self.kind {
             Kind::Grey => Shading::Grey,
             Kind::Colour => Shading::Colour,
             Kind::Normals => Shading::Normals,
             Kind::Depth => Shading::Depth,
             Kind::Confidence => Shading::Confidence,
         };
-        let picture = views.picture(shading, &scale)?;
-        write(&path, pictures::encode(picture.size(), picture.data().as_flattened()))?;
-        if arguments.kind == Kind::Depth {
+        let picture = views.picture(shading, scale)?;
+        write(path, pictures::encode(picture.size(), picture.data().as_flattened()))?;
+        if self.kind == Kind::Depth {
             let name = format!("{}-mm.png", path.file_stem().unwrap_or_default().to_string_lossy());
             write(&path.with_file_name(name), encode_depth(&views.depth_millimetres()?))?;
         }
-        bar.inc(1);
+        Ok(())
     }
-    bar.finish_and_clear();
-    if !arguments.quiet {
-        let (count, size, shown) = (poses.len(), (camera.width, camera.height), arguments.out.display());
-        let many = if count == 1 { "picture" } else { "pictures" };
-        console::print(format_args!("{shown}: {count} {many} of {}x{} pixels", size.0, size.1))?;
-    }
-    Ok(0)
-}
 
-impl Arguments {
     /// Whether the output is what the poses ask for.
     fn check_out(&self) -> Result<()> {
         let shown = self.out.display();
@@ -160,6 +200,10 @@ impl Arguments {
                 bail!("the output '{shown}' is a file; name a folder for a file a pose, or give one pose with --pose");
             }
             return Ok(());
+        }
+        if self.points {
+            itm_io::points::check_name(&self.out)?;
+            return maps::check_folder_of(&self.out);
         }
         let extension = self.out.extension().unwrap_or_default().to_string_lossy().to_lowercase();
         if extension != "png" {

@@ -254,3 +254,33 @@ fn pictures_show_the_balls_where_they_are() {
     render("more", &["--trajectory", "t.txt"]);
     assert!(folder.path().join("more/000000.png").exists());
 }
+
+#[test]
+fn the_visible_surface_is_written_as_points() {
+    if skipped() {
+        return;
+    }
+    let folder = with_map();
+    let seen = ["render", "room.itm", "--points", "--pose", "0,0,0,0,0,0,1"];
+    let answer = printed(folder.path(), &[&seen[..], &["-o", "seen.xyz", "--json"]].concat());
+    let answer: Value = serde_json::from_str(&answer).unwrap();
+    let text = fs::read_to_string(folder.path().join("seen.xyz")).unwrap();
+    let points: Vec<Vec3> = text
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .map(|line| {
+            let numbers: Vec<f32> = line.split_whitespace().take(3).map(|n| n.parse().unwrap()).collect();
+            Vec3::from_slice(&numbers)
+        })
+        .collect();
+    assert!(points.len() > 2_000 && answer["points"] == points.len(), "{answer} but {}", points.len());
+    // The last step along a ray is as long as the distance from the surface: rays that graze a ball end short of it.
+    let mut off: Vec<f32> = points.iter().map(|p| distance(*p).abs() / VOXEL_M).collect();
+    off.sort_by(f32::total_cmp);
+    let (median, worst) = (off[off.len() / 2], off[off.len() - 1]);
+    assert!(median < 0.03 && worst < 0.5, "half are within {median} voxels of the balls, all within {worst}");
+    assert!(points.iter().all(|p| p.z < 1.0), "a point that the camera cannot see");
+    refused(folder.path(), &[&seen[..], &["-o", "seen.png"]].concat(), 1, &["seen.png", ".ply"]);
+    printed(folder.path(), &["render", "room.itm", "--points", "-o", "clouds", "--every", "4"]);
+    assert!(folder.path().join("clouds/000004.ply").exists());
+}

@@ -6,6 +6,7 @@
 //! negative one, they bracket what a correct kernel may answer.
 
 pub mod allocate;
+pub mod changed;
 pub mod forward;
 pub mod hash;
 pub mod icp;
