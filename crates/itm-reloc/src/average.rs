@@ -83,7 +83,7 @@ mod tests {
         #[test]
         fn the_mean_of_poses_around_one_is_that_one(
             at in prop::array::uniform6(-1.5..1.5f64),
-            off in prop::array::uniform6(-0.1..0.1f64),
+            off in prop::array::uniform6(-0.08..0.08f64),
             flip: bool,
         ) {
             let middle = Se3::exp(at);

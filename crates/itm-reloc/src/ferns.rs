@@ -3,6 +3,8 @@
 mod codes;
 mod draw;
 mod saved;
+#[cfg(test)]
+mod tests;
 
 use itm_core::{RelocaliserImage, RelocaliserSettings, Se3, Settings, Timestamp};
 
@@ -121,7 +123,7 @@ impl Relocaliser for Ferns {
         submap_from_camera: &Se3,
         timestamp: Timestamp,
     ) -> Result<Harvest, Error> {
-        let submap_from_camera = checked(submap_from_camera)?;
+        check_pose(submap_from_camera)?;
         let row = self.encode(view)?;
         let valid_share = self.valid_share(view);
         if valid_share < self.settings.min_valid_share {
@@ -133,7 +135,7 @@ impl Relocaliser for Ferns {
             _ => {
                 let id = self.next_id;
                 self.next_id = id.checked_add(1).ok_or(Error::TooManyKeyframes)?;
-                self.keyframes.push(Keyframe { id, submap, submap_from_camera, timestamp });
+                self.keyframes.push(Keyframe { id, submap, submap_from_camera: *submap_from_camera, timestamp });
                 self.codes.push(&row);
                 Ok(Harvest::Added { id, nearest })
             }
@@ -158,9 +160,10 @@ impl Relocaliser for Ferns {
     }
 
     fn set_pose(&mut self, id: u32, submap_from_camera: &Se3) -> Result<(), Error> {
+        check_pose(submap_from_camera)?;
         let at = self.keyframes.binary_search_by_key(&id, |keyframe| keyframe.id);
         let at = at.map_err(|_| Error::NoKeyframe { id })?;
-        self.keyframes[at].submap_from_camera = checked(submap_from_camera)?;
+        self.keyframes[at].submap_from_camera = *submap_from_camera;
         Ok(())
     }
 
@@ -182,7 +185,8 @@ impl Relocaliser for Ferns {
     }
 }
 
-/// A pose that can be kept: a rigid motion, its quaternion of unit length.
-fn checked(pose: &Se3) -> Result<Se3, Error> {
-    Ok(Se3::try_from_quaternion(pose.rotation, pose.translation)?)
+/// Whether a pose can be kept. It is kept as given: normalising it again could change its last digits.
+fn check_pose(pose: &Se3) -> Result<(), Error> {
+    Se3::try_from_quaternion(pose.rotation, pose.translation)?;
+    Ok(())
 }
