@@ -1,5 +1,7 @@
 //! Ferns in a furnished room, seen by casting rays.
 
+#![allow(clippy::unwrap_used, reason = "this is a test, and its helpers outside of #[test] functions are too")]
+
 use glam::{DQuat, DVec3};
 use itm_core::{Image, RelocaliserSettings, Se3, Settings, Timestamp};
 use itm_reloc::{Ferns, Relocaliser as _, SmallView, average_pose};

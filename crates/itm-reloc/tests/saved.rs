@@ -1,5 +1,7 @@
 //! Keyframes that are saved and loaded.
 
+#![allow(clippy::unwrap_used, reason = "this is a test, and its helpers outside of #[test] functions are too")]
+
 mod common;
 
 use common::{ferns, wall};

@@ -11,7 +11,7 @@
 //! | 8 | how many keyframes there are, then for each, by increasing number: |
 //! | 4, 2, 8 | number, submap, time stamp in nanoseconds |
 //! | 7 x 8 | submap_from_camera: quaternion x y z w, translation x y z in metres, in double precision |
-//! | 8 n | the row of its codes |
+//! | 8 a word | the row of its codes, as a `CodeTable` has it |
 //! | 4 | CRC-32 of everything before |
 
 use glam::{DQuat, DVec3};
