@@ -37,7 +37,7 @@ pub use se3::{PoseError, Se3};
 pub use settings::{
     BilateralSettings, CompositePolicy, CompositeSettings, DenseSettings, DepthWeight, DeviceSettings,
     ExtendedSettings, FileSettings, ForwardProjectionSettings, IcpSettings, ImuSettings, MapIndex, MapSettings,
-    ObservationWeight, OnFailure, RgbSettings, Settings, SettingsError, Swapping, TrackerKind, TrackerSettings,
-    VerdictSettings, ViewSettings,
+    ObservationWeight, OnFailure, RelocaliserImage, RelocaliserKind, RelocaliserSettings, RgbSettings, Settings,
+    SettingsError, Swapping, TrackerKind, TrackerSettings, VerdictSettings, ViewSettings,
 };
 pub use trajectory::{StampedPose, Trajectory};

@@ -1,5 +1,6 @@
 //! The settings of a run: one tree, documented where it is defined, unknown keys refused.
 
+mod relocaliser;
 mod tracker;
 mod tracker_string;
 
@@ -7,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::voxel::{BEST_OBSERVATION, DistanceKind};
+pub use relocaliser::{RelocaliserImage, RelocaliserKind, RelocaliserSettings};
 pub use tracker::{
     CompositePolicy, CompositeSettings, DepthWeight, ExtendedSettings, FileSettings, ForwardProjectionSettings,
     IcpSettings, ImuSettings, OnFailure, RgbSettings, TrackerKind, TrackerSettings, VerdictSettings,
@@ -27,6 +29,8 @@ pub struct Settings {
     pub map: MapSettings,
     /// How the camera is tracked.
     pub tracker: TrackerSettings,
+    /// How a place is found again.
+    pub relocaliser: RelocaliserSettings,
 }
 
 /// Which adapter computes.
@@ -352,7 +356,7 @@ impl Settings {
     /// # Errors
     /// The first value out of range.
     pub fn validate(&self) -> Result<(), SettingsError> {
-        let Self { device: _, view, map, tracker } = self;
+        let Self { device: _, view, map, tracker, relocaliser } = self;
         check(in_range(view.min_depth_m, 0.0, 1000.0), "view.min_depth_m", "between 0 and 1000", view.min_depth_m)?;
         check(
             in_range(view.max_depth_m, 0.0, 1000.0) && view.max_depth_m > view.min_depth_m,
@@ -399,7 +403,8 @@ impl Settings {
         )?;
         check(in_range(map.swap_margin_m, 0.0, 10.0), "map.swap_margin_m", "between 0 and 10", map.swap_margin_m)?;
         map.dense.validate()?;
-        tracker.validate()
+        tracker.validate()?;
+        relocaliser.validate()
     }
 }
 
