@@ -29,6 +29,7 @@ pub mod reference;
 pub mod render;
 mod scan;
 mod scratch;
+pub mod shrink;
 mod state;
 mod sums;
 pub mod swap;

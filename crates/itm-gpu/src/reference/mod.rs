@@ -19,6 +19,7 @@ pub mod query;
 pub mod ranges;
 pub mod raycast;
 pub mod render;
+pub mod shrink;
 pub mod view;
 pub mod visible;
 
