@@ -302,8 +302,8 @@ fn a_camera_is_found_in_a_saved_map_without_changing_it() {
         looking.map.swapping = swapping;
         // A little beside the true pose.
         let beside = truth[5] * Se3::exp([0.02, -0.01, 0.02, 0.01, -0.02, 0.01]);
-        let mut found =
-            Slam::in_map(&device, &sequence.calibration(), &looking, &path, &beside).expect("the map is taken in");
+        let mut found = Slam::in_map(&device, &sequence.calibration(), &looking, &path, Some(&beside))
+            .expect("the map is taken in");
         let before = found.saved_blocks().expect("the device answers");
         assert!(before > 100, "{before} blocks");
         for (frame, truth) in sequence.frames().zip(&truth).skip(5) {
@@ -318,6 +318,7 @@ fn a_camera_is_found_in_a_saved_map_without_changing_it() {
     // Another size of voxels is another map.
     let mut other = settings(0.0);
     other.map.voxel_size_m = 0.01;
-    let error = Slam::in_map(&device, &sequence.calibration(), &other, &path, &Se3::IDENTITY).expect_err("refused");
+    let error =
+        Slam::in_map(&device, &sequence.calibration(), &other, &path, Some(&Se3::IDENTITY)).expect_err("refused");
     assert!(error.to_string().contains("voxel_size_m 0.02, but the settings say 0.01"), "{error}");
 }

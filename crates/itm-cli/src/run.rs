@@ -77,7 +77,7 @@ pub(crate) struct Arguments {
     /// Start in a saved map, with its settings unless --settings gives others
     #[arg(long, value_name = "MAP")]
     map: Option<PathBuf>,
-    /// Where the first frame's camera is in that map: metres, then a quaternion [default: 0,0,0,0,0,0,1]
+    /// Where the first frame's camera is in that map: metres, then a quaternion [default: it is found by the map's keyframes]
     #[arg(long, value_name = "TX,TY,TZ,QX,QY,QZ,QW", requires = "map", value_parser = pose_from_str, allow_hyphen_values = true)]
     start_pose: Option<Se3>,
     /// Whether frames are fused into the map; off finds the camera in a saved map without changing it
@@ -317,9 +317,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     };
     let start = match (&arguments.resume, &arguments.map) {
         (Some(path), _) => Start::Resume(path.clone()),
-        (None, Some(path)) => {
-            Start::InMap { path: path.clone(), world_from_camera: arguments.start_pose.unwrap_or(Se3::IDENTITY) }
-        }
+        (None, Some(path)) => Start::InMap { path: path.clone(), world_from_camera: arguments.start_pose },
         (None, None) => Start::Afresh,
     };
     let options = recording::OpenOptions {

@@ -6,8 +6,9 @@ use std::io::{self, Write};
 use itm_slam::{FrameReport, FrameResult, FrameStatus, Timestamp};
 
 /// The stages in the order of the pipeline. `track` is measured on the host, waits included, the others on the device.
-pub(crate) const STAGES: [&str; 12] = [
+pub(crate) const STAGES: [&str; 13] = [
     "view",
+    "shrink",
     "track",
     "hash",
     "swap",
@@ -248,6 +249,7 @@ mod tests {
             tracked: None,
             fused: posed,
             track_ms: 0.0,
+            happenings: Vec::new(),
             report,
         }
     }

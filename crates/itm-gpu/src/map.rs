@@ -393,6 +393,12 @@ impl BlockMap {
         device.wait()
     }
 
+    /// Whose blocks the grid, and every stage that goes by it, is about: one submap at a time, in that submap's frame. The grid
+    /// is to be laid anew then.
+    pub fn look_at(&mut self, submap: u16) {
+        self.submap = submap;
+    }
+
     /// Lays the grid around a view: from now on it covers every block that the camera can see between its nearest and
     /// farthest depth, and `margin_m` around them. The grid is empty until `allocate` has filled it.
     ///

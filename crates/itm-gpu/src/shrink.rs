@@ -13,6 +13,7 @@ pub struct Shrink {
     device: Device,
     size: [u32; 2],
     sigma: f32,
+    with_colour: bool,
     depth: Pipeline,
     colour: Pipeline,
     smooth: Pipeline,
@@ -22,13 +23,14 @@ pub struct Shrink {
 
 impl Shrink {
     /// Prepares the stage for small images of a width and height, smoothed by a Gaussian whose standard deviation is given in
-    /// their pixels; 0 for none.
-    pub fn new(device: &Device, (width, height): (u32, u32), sigma: f32) -> Self {
+    /// their pixels; 0 for none. Colour is shrunk where asked for.
+    pub fn new(device: &Device, (width, height): (u32, u32), sigma: f32, with_colour: bool) -> Self {
         let bytes = u64::from(width) * u64::from(height) * 16;
         Self {
             device: device.clone(),
             size: [width, height],
             sigma,
+            with_colour,
             depth: Pipeline::plain(device, &shrink::depth::PASS),
             colour: Pipeline::plain(device, &shrink::colour::PASS),
             smooth: Pipeline::plain(device, &shrink::smooth::PASS),
@@ -37,7 +39,7 @@ impl Shrink {
         }
     }
 
-    /// Records the shrinking of a view's depth, and of its colour where it has one.
+    /// Records the shrinking of a view's depth, and of its colour where that was asked for and the view has one.
     pub fn record(&self, recorder: &mut Recorder, view: &View) -> SmallReader {
         recorder.stage("shrink");
         let [width, height] = self.size;
@@ -50,7 +52,7 @@ impl Shrink {
         };
         recorder.dispatch(&self.depth, &bindings, cells);
         self.smooth(recorder, &self.small[0]);
-        if let Some((camera, colour)) = view.level_colour(0) {
+        if let Some((camera, colour)) = view.level_colour(0).filter(|_| self.with_colour) {
             let bindings = shrink::colour::Bindings {
                 params: shrink::colour::Params { size: [camera.width, camera.height], small_size: self.size },
                 colour,
@@ -66,7 +68,7 @@ impl Shrink {
             staging
         };
         let depth = read(recorder, &self.small[0]);
-        let colour = view.has_colour().then(|| read(recorder, &self.small[1]));
+        let colour = (view.has_colour() && self.with_colour).then(|| read(recorder, &self.small[1]));
         SmallReader { size: self.size, depth, colour }
     }
 

@@ -32,7 +32,7 @@ proptest! {
         let colour = ColourImage::from_fn(size.0, size.1, |x, y| if hole(y, x) { [0; 4] } else { painted[(x, y)] });
         let frame = common::frame(depth, with_colour.then(|| colour.clone()));
         let view = gpu.see(&common::one_camera(camera), &frame);
-        let shrink = Shrink::new(&gpu.device, small, sigma);
+        let shrink = Shrink::new(&gpu.device, small, sigma, true);
         let mut recorder = Recorder::new(&gpu.device);
         let reader = shrink.record(&mut recorder, &view);
         let _untimed = recorder.submit();

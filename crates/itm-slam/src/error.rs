@@ -11,6 +11,9 @@ pub enum Error {
     /// In a recording.
     #[error(transparent)]
     Io(#[from] itm_io::Error),
+    /// Among the keyframes.
+    #[error(transparent)]
+    Relocaliser(#[from] itm_reloc::Error),
     /// In the settings.
     #[error(transparent)]
     Settings(#[from] itm_core::SettingsError),
@@ -36,6 +39,16 @@ pub enum Error {
         map: String,
         /// What the settings say.
         settings: String,
+    },
+    /// A map in which the camera is to be found, and that has nothing to find it by.
+    #[error(
+        "nothing says where in the map '{}' the camera is: it has no keyframes, or relocaliser.kind is off; give the \
+         first frame's pose",
+        path.display()
+    )]
+    NoKeyframes {
+        /// The file.
+        path: std::path::PathBuf,
     },
     /// Nothing is to be fused, and there is no map to track against.
     #[error("map.fuse is off, so that nothing can be mapped, but there is no map to start in (--map)")]

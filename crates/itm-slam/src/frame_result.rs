@@ -3,6 +3,7 @@
 use itm_core::{Se3, Timestamp};
 use itm_gpu::FrameRecord;
 
+use crate::happening::Happening;
 use crate::tracking::Tracked;
 
 /// What became of a frame.
@@ -101,6 +102,8 @@ pub struct FrameResult {
     pub fused: bool,
     /// Milliseconds that tracking took, waits included.
     pub track_ms: f64,
+    /// What happened to the map beside the frame's fusion, in order.
+    pub happenings: Vec<Happening>,
     /// What has become known of an earlier frame.
     pub report: Option<FrameReport>,
 }

@@ -38,8 +38,6 @@ pub(crate) struct Mapper {
     caster: Caster,
     /// Projects the last frame's points, where the settings ask for it.
     forward: Option<Forward>,
-    /// The last full raycast that tracking used: frames since then, and the camera's centre.
-    full_cast: Option<(u32, DVec3)>,
     integrate: Integrate,
     waiting: VecDeque<Waiting>,
     /// Largest number of blocks that one frame asked for lately; decays.
@@ -64,6 +62,29 @@ pub(crate) struct Mapper {
     gather: Gather,
     /// Where blocks remember what changed them.
     changed: Option<Changed>,
+}
+
+/// A submap as tracking sees it.
+#[derive(Debug)]
+pub(crate) struct Model {
+    pub(crate) image: RaycastImage,
+    /// Frames since it was last cast in full, and the camera's centre then.
+    pub(crate) full_cast: Option<(u32, DVec3)>,
+}
+
+impl Model {
+    pub(crate) fn new(image: RaycastImage) -> Self {
+        Self { image, full_cast: None }
+    }
+}
+
+/// Where a frame is fused.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Place {
+    pub(crate) submap: u16,
+    pub(crate) submap_from_camera: Se3,
+    /// Where the colour camera was, beside the depth camera, when its image was taken.
+    pub(crate) colour_from_depth: Se3,
 }
 
 struct Waiting {
@@ -97,7 +118,6 @@ pub(crate) struct MapperState {
     clock: u32,
     leaving: Option<(u32, u32)>,
     rebuild: bool,
-    full_cast: Option<(u32, [f64; 3])>,
     ages: Vec<u32>,
     near: u32,
     arriving: Vec<[u32; 2]>,
@@ -191,7 +211,6 @@ impl Mapper {
             map,
             caster: Caster::new(device),
             forward: settings.tracker.forward_projection.enabled.then(|| Forward::new(device, &calibration.depth)),
-            full_cast: None,
             integrate: Integrate::new(device),
             waiting: VecDeque::new(),
             demand: 0,
@@ -235,7 +254,6 @@ impl Mapper {
             clock: self.clock,
             leaving: self.leaving,
             rebuild: self.rebuild,
-            full_cast: self.full_cast.map(|(frames, centre)| (frames, centre.to_array())),
             ages: swapped.map(|s| s.ages.clone()).unwrap_or_default(),
             near: swapped.map_or(0, |s| s.near),
             arriving: swapped.map(|s| s.arriving.iter().copied().collect()).unwrap_or_default(),
@@ -322,7 +340,6 @@ impl Mapper {
         self.clock = state.clock;
         self.leaving = state.leaving;
         self.rebuild = state.rebuild;
-        self.full_cast = state.full_cast.map(|(frames, centre)| (frames, centre.into()));
         if let Some(swapped) = &mut self.swapped {
             swapped.ages = std::mem::take(&mut state.ages);
             swapped.ages.resize(AGE_BINS, 0);
@@ -440,18 +457,18 @@ impl Mapper {
         }
     }
 
-    /// Fuses a view into the map, whose colour camera lies at `colour_from_depth` beside the depth camera, and casts the map
-    /// into `model` for the next frame's tracking. `times` are those of the
-    /// frame's earlier stages. Returns whether there is a map: a view without depth cannot begin one.
+    /// Fuses a view into a submap, and casts that into `model` for the next frame's tracking. `times` are those of the frame's
+    /// earlier stages. Returns whether there is a map: a view without depth cannot begin one.
     pub(crate) fn fuse(
         &mut self,
         frame: u64,
         view: &View,
-        world_from_camera: &Se3,
-        colour_from_depth: &Se3,
-        model: &RaycastImage,
+        at: &Place,
+        model: &mut Model,
         mut times: Vec<StageTimes>,
     ) -> Result<bool, Error> {
+        let Place { submap, submap_from_camera: world_from_camera, colour_from_depth } = at;
+        self.map.look_at(*submap);
         let camera = self.calibration.depth;
         let [near_m, far_m] = [self.settings.view.min_depth_m, self.settings.view.max_depth_m];
         let truncation_m = self.settings.map.truncation_m;
@@ -532,6 +549,11 @@ impl Mapper {
             reported: false,
         });
         Ok(true)
+    }
+
+    /// Whether nothing was fused yet.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.empty
     }
 
     /// Why the host's store cannot keep to its budget, if so.
@@ -666,32 +688,29 @@ impl Mapper {
         Ok(image)
     }
 
-    /// Casts the map into an image for tracking that goes on from a pose that follows from none before. Stored blocks come
-    /// back for it; waits for those.
+    /// Casts the map for tracking that goes on from a pose that follows from none before. Stored blocks come back for it; waits
+    /// for those.
     pub(crate) fn cast_for_tracking(
         &mut self,
-        image: &RaycastImage,
-        world_from_camera: &Se3,
-        max_depth_m: f32,
+        submap: u16,
+        model: &mut Model,
+        submap_from_camera: &Se3,
     ) -> Result<(), Error> {
-        self.full_cast = None;
-        self.follow(image, world_from_camera, max_depth_m)
+        model.full_cast = None;
+        self.follow(submap, model, submap_from_camera)
     }
 
     /// The same for the pose of a frame that is not fused.
-    pub(crate) fn follow(
-        &mut self,
-        image: &RaycastImage,
-        world_from_camera: &Se3,
-        max_depth_m: f32,
-    ) -> Result<(), Error> {
-        let camera = *image.camera();
+    pub(crate) fn follow(&mut self, submap: u16, model: &mut Model, submap_from_camera: &Se3) -> Result<(), Error> {
+        let (camera, world_from_camera) = (*model.image.camera(), submap_from_camera);
+        let max_depth_m = self.settings.view.max_depth_m + self.settings.map.truncation_m;
+        self.map.look_at(submap);
         self.map.lay_grid(&camera, world_from_camera, max_depth_m, self.settings.map.swap_margin_m)?;
         self.fetch(&Viewed { camera: &camera, world_from_camera, depth_range_m: [0.0, max_depth_m] })?;
         self.map.lay_grid(&camera, world_from_camera, max_depth_m, 0.0)?;
         let mut recorder = Recorder::new(&self.device);
         self.caster.find(&mut recorder, &self.map, &camera, world_from_camera, max_depth_m);
-        self.record_model(&mut recorder, image, world_from_camera, [NEAR_M, max_depth_m]);
+        self.record_model(&mut recorder, model, world_from_camera, [NEAR_M, max_depth_m]);
         let _untimed = recorder.submit();
         Ok(())
     }
@@ -701,21 +720,21 @@ impl Mapper {
     fn record_model(
         &mut self,
         recorder: &mut Recorder,
-        model: &RaycastImage,
+        model: &mut Model,
         world_from_camera: &Se3,
         depth_range_m: [f32; 2],
     ) {
         let settings = &self.settings.tracker.forward_projection;
         let centre = world_from_camera.translation;
-        if let (Some(forward), Some((frames, full_at))) = (&self.forward, self.full_cast)
+        if let (Some(forward), Some((frames, full_at))) = (&self.forward, model.full_cast)
             && frames < settings.max_frames
             && centre.distance(full_at) <= settings.max_move_m
         {
-            self.caster.cast_forward(recorder, &self.map, model, forward, world_from_camera, depth_range_m);
-            self.full_cast = Some((frames + 1, full_at));
+            self.caster.cast_forward(recorder, &self.map, &model.image, forward, world_from_camera, depth_range_m);
+            model.full_cast = Some((frames + 1, full_at));
         } else {
-            self.caster.cast(recorder, &self.map, model, world_from_camera, depth_range_m);
-            self.full_cast = Some((0, centre));
+            self.caster.cast(recorder, &self.map, &model.image, world_from_camera, depth_range_m);
+            model.full_cast = Some((0, centre));
         }
     }
 }

@@ -13,8 +13,8 @@ use itm_gpu::{Device, HostBlock, MapState};
 use itm_io::map_file::{MapHeader, MapReader, MapWriter, Tag, tag};
 use serde::{Deserialize, Serialize};
 
+use crate::local::LocalState;
 use crate::mapper::MapperState;
-use crate::tracking::{Learnt, Motion};
 use crate::{Error, Poses, Slam};
 
 /// What a session needs beside its map to go on.
@@ -35,6 +35,8 @@ const LEFT_CHANGED: Tag = *b"CHLF";
 const BACK: Tag = *b"BACK";
 /// Points and normals of the model that the next frame is tracked against.
 const MODEL: Tag = *b"MODL";
+/// Keyframes, as the relocaliser writes them.
+const KEYFRAMES: Tag = *b"KEYF";
 /// Points with the colours of the frame before, and of the map.
 const LISTS: [Tag; 2] = [*b"LSTP", *b"LSTM"];
 
@@ -43,12 +45,7 @@ const LISTS: [Tag; 2] = [*b"LSTP", *b"LSTM"];
 struct State {
     poses_given: bool,
     next_frame: u64,
-    fused_frames: u64,
-    to_recover: u32,
-    world_from_model: Option<Se3>,
-    last_good: Option<Se3>,
-    motion: Motion,
-    learnt: Learnt,
+    primary: LocalState,
     mapper: MapperState,
 }
 
@@ -122,12 +119,7 @@ impl Slam {
         let state = State {
             poses_given: self.poses == Poses::Given,
             next_frame: self.next_frame,
-            fused_frames: self.age.frames,
-            to_recover: self.to_recover,
-            world_from_model: self.world_from_model,
-            last_good: self.last_good,
-            motion: self.motion.clone(),
-            learnt: self.tracker.learnt(),
+            primary: self.primary.state(),
             mapper: self.mapper.state()?,
         };
         let on_device = self.mapper.map.read_state()?;
@@ -186,8 +178,11 @@ impl Slam {
             });
             writer.bytes(LEFT_CHANGED, &to_bytes(left))?;
         }
-        writer.bytes(MODEL, &self.model.read_bytes(&self.device)?)?;
-        for (tag, list) in LISTS.iter().zip(&self.lists) {
+        if let Some(places) = &self.places {
+            writer.bytes(KEYFRAMES, &places.relocaliser.save())?;
+        }
+        writer.bytes(MODEL, &self.primary.model.image.read_bytes(&self.device)?)?;
+        for (tag, list) in LISTS.iter().zip(&self.primary.lists) {
             if let Some(list) = list {
                 writer.bytes(*tag, &list.read_bytes(&self.device)?)?;
             }
@@ -272,35 +267,41 @@ impl Slam {
             })?;
         }
         slam.mapper.set_state(&mut state.mapper, left, kind.block_words());
-        slam.model.write_bytes(device, &reader.bytes(MODEL)?)?;
-        for (tag, list) in LISTS.iter().zip(&slam.lists) {
+        slam.primary.model.image.write_bytes(device, &reader.bytes(MODEL)?)?;
+        for (tag, list) in LISTS.iter().zip(&slam.primary.lists) {
             if let Some(list) = list {
                 list.write_bytes(device, &reader.bytes(*tag)?)?;
             }
         }
         slam.trajectory = reader.trajectory()?;
-        let State { next_frame, fused_frames, to_recover, world_from_model, last_good, motion, learnt, .. } = state;
-        slam.next_frame = next_frame;
-        slam.age.frames = fused_frames;
-        slam.to_recover = to_recover;
-        slam.world_from_model = world_from_model;
-        slam.last_good = last_good;
-        slam.motion = motion;
-        slam.tracker.learn(&learnt);
+        slam.load_keyframes(&mut reader)?;
+        slam.next_frame = state.next_frame;
+        slam.primary.set_state(state.primary);
         Ok(slam)
     }
 
-    /// Starts a new session in a saved map, at a pose in it. Its voxels' size and kind are the map's, to which the settings
-    /// must agree.
+    /// Takes in a map's keyframes, where it has any and the settings ask for a relocaliser.
+    fn load_keyframes(&mut self, reader: &mut MapReader) -> Result<(), Error> {
+        if let Some(places) = &mut self.places
+            && reader.has(KEYFRAMES)
+        {
+            places.relocaliser.load(&reader.bytes(KEYFRAMES)?)?;
+        }
+        Ok(())
+    }
+
+    /// Starts a new session in a saved map: at a pose in it, or, without one, wherever the relocaliser finds the first frames.
+    /// Its voxels' size and kind are the map's, to which the settings must agree.
     ///
     /// # Errors
-    /// Where the file cannot be read, the settings disagree with it, or the device has no room for it.
+    /// Where the file cannot be read, the settings disagree with it, or the device has no room for it; without a pose also where
+    /// the map has no keyframes, or they were made with other settings. (With one such keyframes are left out, with a warning.)
     pub fn in_map(
         device: &Device,
         calibration: &itm_core::Calibration,
         settings: &Settings,
         path: &Path,
-        world_from_camera: &Se3,
+        world_from_camera: Option<&Se3>,
     ) -> Result<Self, Error> {
         let mut reader = MapReader::open(path)?;
         let mut slam = Self::new(device, calibration, settings, Poses::Tracked)?;
@@ -321,8 +322,20 @@ impl Slam {
             }
         }
         // What the map shows was observed as often as its weights say.
-        slam.age.frames = frames;
-        slam.start_at(world_from_camera)?;
+        slam.primary.age.frames = frames;
+        match (slam.load_keyframes(&mut reader), world_from_camera) {
+            (Ok(()), None) => {
+                if slam.places.as_ref().is_none_or(|places| places.relocaliser.keyframes().is_empty()) {
+                    return Err(Error::NoKeyframes { path: path.to_path_buf() });
+                }
+            }
+            (Ok(()), Some(pose)) => slam.start_at(pose)?,
+            (Err(Error::Relocaliser(error)), Some(pose)) => {
+                tracing::warn!("the keyframes of '{}' are left out: {error}", path.display());
+                slam.start_at(pose)?;
+            }
+            (Err(error), _) => return Err(error),
+        }
         Ok(slam)
     }
 }

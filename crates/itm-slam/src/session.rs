@@ -34,12 +34,12 @@ pub enum Start {
     /// A saved session, which goes on. Its settings, its calibration and where its poses come from are its own, whatever
     /// the options say.
     Resume(PathBuf),
-    /// A saved map, at a pose in it.
+    /// A saved map.
     InMap {
         /// The map file.
         path: PathBuf,
-        /// Where the first frame's depth camera is, or nearly.
-        world_from_camera: Se3,
+        /// Where the first frame's depth camera is, or nearly; `None` to find it by the map's keyframes.
+        world_from_camera: Option<Se3>,
     },
 }
 
@@ -140,7 +140,7 @@ impl Session {
             Start::Afresh => Slam::new(device, &info.calibration, &settings, options.poses)?,
             Start::Resume(path) => Slam::resume(device, path)?,
             Start::InMap { path, world_from_camera } => {
-                Slam::in_map(device, &info.calibration, &settings, path, world_from_camera)?
+                Slam::in_map(device, &info.calibration, &settings, path, world_from_camera.as_ref())?
             }
         };
         let summary = Summary { frames: range.len(), ..Summary::default() };

@@ -1,27 +1,25 @@
 //! The core: frames in, poses and a map out. Synchronous, without threads.
 
-use std::ops::Range;
-
 use itm_core::{
     Calibration, ColourImage, Frame, Intrinsics, Mesh, ObservationWeight, OnFailure, Se3, Settings, StampedPose,
     Trajectory,
 };
 use itm_gpu::evaluate::Evaluator;
 use itm_gpu::mesh::Extract;
-use itm_gpu::photometric::PointList;
 use itm_gpu::render::{Render, Scale, Shading};
 use itm_gpu::view::{ViewOptions, ViewStage};
-use itm_gpu::{Device, RaycastImage, Recorder, StageTimes, View};
+use itm_gpu::{Device, Recorder, StageTimes, View};
 
 use crate::Error;
 use crate::chunked_mesh::{MeshOptions, mesh_in_chunks};
 use crate::frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
-use crate::mapper::{Late, Mapper};
+use crate::happening::Happening;
+use crate::local::{Eyes, Local, Needs};
+use crate::mapper::{Late, Mapper, Place};
+use crate::places::{Places, around};
 use crate::robot::Questions;
 use crate::source::BlockSource as _;
-use crate::tracking::{
-    Against, Age, CHECK_LEVELS, ModelObjective, Moment, Motion, Tracked, Tracker, Verdict, colour_offset,
-};
+use crate::tracking::{Against, Tracked, Tracker, Verdict, colour_offset};
 use crate::views::MapViews;
 
 /// Where poses come from.
@@ -42,22 +40,14 @@ pub struct Slam {
     view_options: ViewOptions,
     view_stage: ViewStage,
     view: View,
-    pub(crate) tracker: Tracker,
     evaluator: Evaluator,
-    /// Surface points with the colours of the frame before and of the map, where the tracker compares them.
-    pub(crate) lists: [Option<PointList>; 2],
-    pub(crate) motion: Motion,
-    pub(crate) age: Age,
+    /// Tracking in the submap that frames are fused into.
+    pub(crate) primary: Local,
+    /// Where the camera has been, to find it again.
+    pub(crate) places: Option<Places>,
     pub(crate) mapper: Mapper,
     render: Render,
     pub(crate) extract: Extract,
-    /// The map as seen from the last fused pose.
-    pub(crate) model: RaycastImage,
-    pub(crate) world_from_model: Option<Se3>,
-    /// The last pose with a good verdict, to which tracking returns after a loss.
-    pub(crate) last_good: Option<Se3>,
-    /// Good frames still to come after a loss before frames are fused again.
-    pub(crate) to_recover: u32,
     pub(crate) trajectory: Trajectory,
     /// One more than the number of the last frame.
     pub(crate) next_frame: u64,
@@ -80,10 +70,14 @@ impl Slam {
         settings.validate()?;
         calibration.validate()?;
         let tracker = Tracker::new(settings, &calibration.depth)?;
-        let needs = match poses {
+        let places = Places::new(device, calibration, settings)?;
+        let mut needs = match poses {
             Poses::Tracked => Needs::of(&tracker),
-            Poses::Given => Needs { levels: 1, lists: [None, None] },
+            Poses::Given => Needs::nothing(),
         };
+        if let (Some(places), Poses::Tracked) = (&places, poses) {
+            needs.levels = needs.levels.max(places.needs().levels);
+        }
         let view_options = ViewOptions {
             depth_range_m: [settings.view.min_depth_m, settings.view.max_depth_m],
             bilateral_passes: settings.view.bilateral.passes,
@@ -92,9 +86,6 @@ impl Slam {
             observation_weights: settings.map.observation_weight == ObservationWeight::Noise || settings.map.confidence,
             colour_levels: needs.lists.iter().flatten().map(|range| range.end).max().unwrap_or(1),
         };
-        let model = RaycastImage::new(device, calibration.depth)?;
-        let list = |range: Option<Range<usize>>| range.map(|r| PointList::new(device, &model, r.start, r.end));
-        let lists = needs.lists.map(list);
         Ok(Self {
             device: device.clone(),
             calibration: *calibration,
@@ -103,18 +94,12 @@ impl Slam {
             view_options,
             view_stage: ViewStage::new(device),
             view: View::new(device, calibration, &view_options),
-            tracker,
             evaluator: Evaluator::new(device),
-            lists,
-            motion: Motion::default(),
-            age: Age::default(),
+            primary: Local::new(device, calibration, &tracker, &needs, 0)?,
+            places,
             mapper: Mapper::new(device, calibration, settings)?,
             render: Render::new(device),
             extract: Extract::new(device),
-            model,
-            world_from_model: None,
-            last_good: None,
-            to_recover: 0,
             trajectory: Trajectory::default(),
             next_frame: 0,
             questions: None,
@@ -169,7 +154,7 @@ impl Slam {
         let _span = tracing::info_span!("frame", index = frame.index).entered();
         let view_times = self.look(frame)?;
         let report = self.mapper.consume()?.map(|late| self.report(late));
-        self.motion.sense(frame);
+        self.primary.motion.sense(frame);
         let started = std::time::Instant::now();
         let located = self.locate(frame)?;
         let track_ms = started.elapsed().as_secs_f64() * 1e3;
@@ -184,9 +169,9 @@ impl Slam {
         let _span = tracing::info_span!("frame", index = frame.index).entered();
         let view_times = self.look(frame)?;
         let report = self.mapper.consume()?.map(|late| self.report(late));
-        self.motion.sense(frame);
+        self.primary.motion.sense(frame);
         let located = if world_from_camera.is_finite() {
-            Located { status: FrameStatus::Placed, tracked: None, pose: Some(*world_from_camera), fuse: true }
+            Located { pose: Some(*world_from_camera), fuse: true, ..Located::without(FrameStatus::Placed) }
         } else {
             Located::without(FrameStatus::NoPose)
         };
@@ -199,11 +184,11 @@ impl Slam {
     /// As [`Slam::process`].
     pub fn probe(&mut self, frame: &Frame, starts: &[Se3]) -> Result<Option<Tracked>, Error> {
         let _untimed = self.look(frame)?;
-        let Some(world_from_model) = self.world_from_model else { return Ok(None) };
-        let mut tracker = self.tracker.clone();
-        let (motion, age) = (self.motion.clone(), self.age);
-        let mut objective = self.objective(frame, world_from_model);
-        tracker.track_from(&mut objective, &Moment { frame, motion: &motion, age }, starts).map(Some)
+        let learnt = self.primary.tracker.learnt();
+        let (local, mut eyes) = self.local_and_eyes();
+        let found = local.track_from(&mut eyes, frame, starts);
+        local.tracker.learn(&learnt);
+        found
     }
 
     /// Uploads a frame, and makes what tracking and fusion use of it.
@@ -217,6 +202,9 @@ impl Slam {
             &colourless
         };
         self.view_stage.record(&mut recorder, &mut self.view, frame_used, &self.view_options)?;
+        if let Some(places) = &mut self.places {
+            places.look(&mut recorder, &self.view);
+        }
         Ok(recorder.submit())
     }
 
@@ -225,60 +213,62 @@ impl Slam {
         if self.poses == Poses::Given {
             let pose = frame.world_from_camera.filter(Se3::is_finite);
             let status = if pose.is_some() { FrameStatus::Placed } else { FrameStatus::NoPose };
-            return Ok(Located { status, tracked: None, pose, fuse: true });
+            return Ok(Located { pose, fuse: true, ..Located::without(status) });
         }
-        let Some(world_from_model) = self.world_from_model else {
+        let Some(world_from_model) = self.primary.submap_from_model else {
+            if !self.mapper.is_empty() {
+                let lost = "no keyframe of the map is where the camera is".to_owned();
+                return Ok(self.relocalise(frame)?.unwrap_or(Located::without(FrameStatus::Lost { reason: lost })));
+            }
             let pose = self.first_pose(frame)?;
             let status = if pose.is_some() { FrameStatus::Placed } else { FrameStatus::NoPose };
-            return Ok(Located { status, tracked: None, pose, fuse: true });
+            return Ok(Located { pose, fuse: true, ..Located::without(status) });
         };
         let settings = &self.settings.tracker;
         let on_failure = settings.on_failure;
         let after_loss = settings.verdict.frames_to_recover + 1;
         // What was found after a loss may be wrong, so the search goes on until frames are good again.
-        let searching = on_failure == OnFailure::Relocalise && self.to_recover > 0;
+        let searching = on_failure == OnFailure::Relocalise && self.primary.to_recover > 0;
         let mut further = if searching { around(&world_from_model) } else { Vec::new() };
-        if self.motion.last().is_none() {
+        if self.primary.motion.last().is_none() {
             // In a saved map no frame has come before.
             further.insert(0, world_from_model);
         }
-        let mut tracker = self.tracker.clone();
-        let (motion, age) = (self.motion.clone(), self.age);
-        let mut objective = self.objective(frame, world_from_model);
-        let tracked = tracker.track(&mut objective, &Moment { frame, motion: &motion, age }, &further)?;
-        self.tracker = tracker;
+        let (local, mut eyes) = self.local_and_eyes();
+        let tracked = local.track(&mut eyes, frame, &further)?.expect("there is a model");
         let pose = Some(tracked.world_from_camera);
         let reason = tracked.reasons.join("; ");
         let settings = &self.settings.tracker;
         let located = match tracked.verdict {
-            Verdict::Good if self.to_recover > 1 => {
-                self.to_recover -= 1;
-                let left = self.to_recover;
+            Verdict::Good if self.primary.to_recover > 1 => {
+                self.primary.to_recover -= 1;
+                let left = self.primary.to_recover;
                 let reason = format!("tracked again after a loss; fused after {left} more good frames");
-                Located { status: FrameStatus::Poor { reason }, tracked: Some(tracked), pose, fuse: false }
+                Located { tracked: Some(tracked), pose, ..Located::without(FrameStatus::Poor { reason }) }
             }
             Verdict::Good => {
-                self.to_recover = 0;
-                self.last_good = pose;
-                Located { status: FrameStatus::Tracked, tracked: Some(tracked), pose, fuse: true }
+                self.primary.to_recover = 0;
+                self.primary.last_good = pose;
+                Located { tracked: Some(tracked), pose, fuse: true, ..Located::without(FrameStatus::Tracked) }
             }
             Verdict::Poor => {
-                let fuse = settings.verdict.fuse_poor && self.to_recover == 0;
-                if self.to_recover > 0 {
+                let fuse = settings.verdict.fuse_poor && self.primary.to_recover == 0;
+                if self.primary.to_recover > 0 {
                     // Good ones must come in a row; but it is no longer lost.
-                    self.to_recover = after_loss - 1;
+                    self.primary.to_recover = after_loss - 1;
                 }
-                Located { status: FrameStatus::Poor { reason }, tracked: Some(tracked), pose, fuse }
+                Located { tracked: Some(tracked), pose, fuse, ..Located::without(FrameStatus::Poor { reason }) }
             }
             Verdict::Lost if on_failure == OnFailure::Ignore => {
-                let status = FrameStatus::Lost { reason };
-                Located { status, tracked: Some(tracked), pose: Some(world_from_model), fuse: true }
+                let pose = Some(world_from_model);
+                Located { tracked: Some(tracked), pose, fuse: true, ..Located::without(FrameStatus::Lost { reason }) }
             }
             Verdict::Lost => {
-                self.to_recover = match on_failure {
-                    OnFailure::Relocalise => after_loss,
-                    _ => 0,
-                };
+                let relocalises = on_failure == OnFailure::Relocalise;
+                if relocalises && let Some(found) = self.relocalise(frame)? {
+                    return Ok(found);
+                }
+                self.primary.to_recover = if relocalises { after_loss } else { 0 };
                 self.return_to_last_good()?;
                 Located { tracked: Some(tracked), ..Located::without(FrameStatus::Lost { reason }) }
             }
@@ -286,12 +276,30 @@ impl Slam {
         Ok(located)
     }
 
+    /// Finds the frame among the places that the camera has been at. It is followed, but fused only once further frames are
+    /// good.
+    fn relocalise(&mut self, frame: &Frame) -> Result<Option<Located>, Error> {
+        let Self { device, places, mapper, evaluator, view, calibration, settings, primary, .. } = self;
+        let Some(places) = places else { return Ok(None) };
+        let candidates = places.candidates(device, &|_| true)?;
+        let mut eyes = Eyes { evaluator, view, calibration, settings };
+        let Some(found) = places.find(mapper, &mut eyes, frame, &candidates)? else { return Ok(None) };
+        let happening = found.happening();
+        primary.to_recover = settings.tracker.verdict.frames_to_recover;
+        primary.motion.forget();
+        let left = primary.to_recover;
+        let fuse = left == 0;
+        let reason = format!("{happening}; fused after {left} more good frames");
+        let status = if fuse { FrameStatus::Tracked } else { FrameStatus::Poor { reason } };
+        let pose = Some(found.tracked.world_from_camera);
+        Ok(Some(Located { status, tracked: Some(found.tracked), pose, fuse, happenings: vec![happening] }))
+    }
+
     /// Tracking begins at a pose in the map.
     pub(crate) fn start_at(&mut self, world_from_camera: &Se3) -> Result<(), Error> {
-        let far = self.settings.view.max_depth_m + self.settings.map.truncation_m;
-        self.mapper.cast_for_tracking(&self.model, world_from_camera, far)?;
-        self.world_from_model = Some(*world_from_camera);
-        self.last_good = self.world_from_model;
+        self.mapper.cast_for_tracking(self.primary.submap, &mut self.primary.model, world_from_camera)?;
+        self.primary.submap_from_model = Some(*world_from_camera);
+        self.primary.last_good = self.primary.submap_from_model;
         let mut recorder = Recorder::new(&self.device);
         self.record_map_list(&mut recorder, world_from_camera);
         let _untimed = recorder.submit();
@@ -300,20 +308,19 @@ impl Slam {
 
     /// Where the world begins: at the first camera, unless poses come from files.
     fn first_pose(&self, frame: &Frame) -> Result<Option<Se3>, Error> {
-        self.tracker.pose_from_file(frame).unwrap_or(Ok(Some(Se3::IDENTITY)))
+        self.primary.tracker.pose_from_file(frame).unwrap_or(Ok(Some(Se3::IDENTITY)))
     }
 
     /// Tracking goes on from the last pose that could be relied on.
     fn return_to_last_good(&mut self) -> Result<(), Error> {
-        let Some(last_good) = self.last_good else { return Ok(()) };
-        self.motion.return_to(last_good);
-        if self.world_from_model != Some(last_good) {
-            let far = self.settings.view.max_depth_m + self.settings.map.truncation_m;
-            self.mapper.cast_for_tracking(&self.model, &last_good, far)?;
-            self.world_from_model = Some(last_good);
+        let Some(last_good) = self.primary.last_good else { return Ok(()) };
+        self.primary.motion.return_to(last_good);
+        if self.primary.submap_from_model != Some(last_good) {
+            self.mapper.cast_for_tracking(self.primary.submap, &mut self.primary.model, &last_good)?;
+            self.primary.submap_from_model = Some(last_good);
             // The frame before was taken elsewhere.
             let mut recorder = Recorder::new(&self.device);
-            if let Some(list) = &self.lists[Against::Previous as usize] {
+            if let Some(list) = self.primary.list(Against::Previous) {
                 list.clear(&mut recorder);
             }
             self.record_map_list(&mut recorder, &last_good);
@@ -331,33 +338,40 @@ impl Slam {
         track_ms: f64,
         report: Option<FrameReport>,
     ) -> Result<FrameResult, Error> {
-        let Located { mut status, tracked, mut pose, mut fuse } = located;
+        let Located { mut status, tracked, mut pose, mut fuse, mut happenings } = located;
         // Where the map is only looked at.
         fuse &= self.settings.map.fuse;
         self.next_frame = frame.index + 1;
         let mut fused = false;
         if let Some(world_from_camera) = pose {
-            let lead = self.motion.colour_lead(frame, &self.settings.view);
-            let offset = colour_offset(&self.motion.last(), &world_from_camera, lead);
+            let lead = self.primary.motion.colour_lead(frame, &self.settings.view);
+            let offset = colour_offset(&self.primary.motion.last(), &world_from_camera, lead);
             let colour_from_depth = self.calibration.colour_from_depth * offset.inverse();
             if fuse {
                 let times = vec![view_times];
-                let (view, model) = (&self.view, &self.model);
-                fused = self.mapper.fuse(frame.index, view, &world_from_camera, &colour_from_depth, model, times)?;
+                if matches!(status, FrameStatus::Tracked | FrameStatus::Placed)
+                    && let Some(places) = &mut self.places
+                {
+                    // Before anything more is recorded, so that it waits for nothing else.
+                    let (submap, time) = (self.primary.submap, frame.timestamp);
+                    happenings.extend(places.remember(&self.device, submap, &world_from_camera, time)?);
+                }
+                let submap = self.primary.submap;
+                let place = Place { submap, submap_from_camera: world_from_camera, colour_from_depth };
+                fused = self.mapper.fuse(frame.index, &self.view, &place, &mut self.primary.model, times)?;
                 if !fused {
                     (status, pose) = (FrameStatus::NoDepth, None);
                 }
             } else {
-                let far = self.settings.view.max_depth_m + self.settings.map.truncation_m;
-                self.mapper.follow(&self.model, &world_from_camera, far)?;
+                self.mapper.follow(self.primary.submap, &mut self.primary.model, &world_from_camera)?;
             }
             if let Some(world_from_camera) = pose {
-                self.age.frames += u64::from(fused);
-                self.world_from_model = Some(world_from_camera);
+                self.primary.age.frames += u64::from(fused);
+                self.primary.submap_from_model = Some(world_from_camera);
                 if matches!(status, FrameStatus::Placed) {
-                    self.last_good = pose;
+                    self.primary.last_good = pose;
                 }
-                self.motion.moved_to(frame, world_from_camera);
+                self.primary.motion.moved_to(frame, world_from_camera);
                 self.list_colours(&(world_from_camera * colour_from_depth.inverse()), &world_from_camera);
                 self.trajectory.push(StampedPose { timestamp: frame.timestamp, world_from_camera });
             }
@@ -370,41 +384,35 @@ impl Slam {
             tracked,
             fused,
             track_ms,
+            happenings,
             report,
         })
     }
 
-    fn objective(&mut self, frame: &Frame, world_from_model: Se3) -> ModelObjective<'_> {
-        ModelObjective {
-            evaluator: &mut self.evaluator,
-            view: &self.view,
-            model: &self.model,
-            lists: self.lists.each_ref().map(Option::as_ref),
-            world_from_model,
-            before: self.motion.last(),
-            colour_lead: self.motion.colour_lead(frame, &self.settings.view),
-            depth_from_colour: self.calibration.colour_from_depth.inverse(),
-        }
+    /// Tracking in the primary submap, and what it looks with.
+    fn local_and_eyes(&mut self) -> (&mut Local, Eyes<'_>) {
+        let Self { primary, evaluator, view, calibration, settings, .. } = self;
+        (primary, Eyes { evaluator, view, calibration, settings })
     }
 
     /// Lists the model's points with their colours for the next frame's tracking.
     fn list_colours(&self, world_from_colour: &Se3, world_from_camera: &Se3) {
-        if self.lists.iter().all(Option::is_none) {
+        if self.primary.lists.iter().all(Option::is_none) {
             return;
         }
         let mut recorder = Recorder::new(&self.device);
-        if let Some(list) = &self.lists[Against::Previous as usize] {
+        if let Some(list) = self.primary.list(Against::Previous) {
             let stage = &self.evaluator.photometric;
-            stage.list_previous(&mut recorder, list, &self.model, &self.view, world_from_colour, 0.0);
+            stage.list_previous(&mut recorder, list, &self.primary.model.image, &self.view, world_from_colour, 0.0);
         }
         self.record_map_list(&mut recorder, world_from_camera);
         let _untimed = recorder.submit();
     }
 
     fn record_map_list(&self, recorder: &mut Recorder, world_from_camera: &Se3) {
-        if let Some(list) = &self.lists[Against::Map as usize] {
+        if let Some(list) = self.primary.list(Against::Map) {
             let stage = &self.evaluator.photometric;
-            stage.list_map(recorder, list, &self.model, &self.mapper.map, world_from_camera, 0.0);
+            stage.list_map(recorder, list, &self.primary.model.image, &self.mapper.map, world_from_camera, 0.0);
         }
     }
 
@@ -481,46 +489,11 @@ struct Located {
     pose: Option<Se3>,
     /// Whether the frame is fused at its pose.
     fuse: bool,
+    happenings: Vec<Happening>,
 }
 
 impl Located {
     fn without(status: FrameStatus) -> Self {
-        Self { status, tracked: None, pose: None, fuse: false }
-    }
-}
-
-/// Poses around one, to start from after a loss: turned as far as an image still overlaps, or moved aside while turning.
-fn around(pose: &Se3) -> Vec<Se3> {
-    let mut poses = Vec::new();
-    for degrees in [8.0_f64, -8.0, 16.0, -16.0] {
-        let angle = degrees.to_radians();
-        poses.push(*pose * Se3::exp([0.0, 0.0, 0.0, angle, 0.0, 0.0]));
-        for aside_m in [-0.15, 0.0, 0.15] {
-            poses.push(*pose * Se3::exp([aside_m, 0.0, 0.0, 0.0, angle, 0.0]));
-        }
-    }
-    poses
-}
-
-/// What a tracker's plans need of a view and of the model.
-struct Needs {
-    /// Levels of the depth pyramid.
-    levels: usize,
-    /// Levels of the point lists, by [`Against`].
-    lists: [Option<Range<usize>>; 2],
-}
-
-impl Needs {
-    fn of(tracker: &Tracker) -> Self {
-        let mut needs = Self { levels: CHECK_LEVELS, lists: [None, None] };
-        for level in tracker.plans(Age::default()).iter().flat_map(|plan| &plan.levels) {
-            needs.levels = needs.levels.max(level.request.level + 1);
-            for (range, term) in needs.lists.iter_mut().zip(&level.request.colour) {
-                let Some(term) = term else { continue };
-                let known = range.get_or_insert(term.level..term.level + 1);
-                *known = known.start.min(term.level)..known.end.max(term.level + 1);
-            }
-        }
-        needs
+        Self { status, tracked: None, pose: None, fuse: false, happenings: Vec::new() }
     }
 }

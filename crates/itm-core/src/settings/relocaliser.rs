@@ -36,6 +36,9 @@ pub struct RelocaliserSettings {
     pub min_dissimilarity: f64,
     /// Most similar keyframes whose poses are tried after a loss.
     pub candidates: u32,
+    /// A candidate's place is the frame's where tracking there is good, and at least this share of the frame's depth pixels agree
+    /// with the map, 0 to 1.
+    pub min_inlier_share: f64,
     /// Share of the small image that must show something, 0 to 1: below it a view becomes no keyframe and is likened to none,
     /// because views in which nothing is seen, as with a covered lens, are all alike. Where both images are compared, each of
     /// them must.
@@ -59,6 +62,7 @@ impl Default for RelocaliserSettings {
             seed: 1,
             min_dissimilarity: 0.2,
             candidates: 5,
+            min_inlier_share: 0.5,
             min_valid_share: 0.2,
             average_within_m: 0.3,
             average_within_rad: 0.35,
@@ -124,6 +128,7 @@ impl RelocaliserSettings {
         check((1..=1000).contains(&self.candidates), "relocaliser.candidates", "between 1 and 1000", self.candidates)?;
         for (key, share) in [
             ("relocaliser.min_dissimilarity", self.min_dissimilarity),
+            ("relocaliser.min_inlier_share", self.min_inlier_share),
             ("relocaliser.min_valid_share", self.min_valid_share),
         ] {
             check((0.0..=1.0).contains(&share), key, "between 0 and 1", share)?;

@@ -49,6 +49,12 @@ impl Motion {
         }
     }
 
+    /// Forgets the last pose and the velocity: the camera is found somewhere else.
+    pub fn forget(&mut self) {
+        self.velocity = None;
+        self.last = None;
+    }
+
     /// How much further than from the last pose to a frame's depth image the camera goes until its colour image is taken, as
     /// a share of that way.
     pub fn colour_lead(&self, frame: &Frame, view: &ViewSettings) -> f64 {
