@@ -1,30 +1,13 @@
 //! The same minimum as another solver finds.
 //!
-//! `tests/data` holds small problems and the costs that scipy reaches on them. They were made by
-//! `cargo test -p itm-graph -- --ignored write_the_problems` and `python3 tests/scipy_cost.py tests/data/<name>.g2o [phi]`
-//! in this crate's folder.
+//! `tests/data` holds small problems, which the example `speed` writes, and the costs that scipy reaches on them.
 
 use std::path::PathBuf;
 
 use itm_graph::{Edge, EdgeKind, Kernel, Options, PoseGraph, g2o};
 
-use crate::problems::{Shape, Spec};
-
 fn data(name: &str) -> PathBuf {
     [env!("CARGO_MANIFEST_DIR"), "tests", "data", name].iter().collect()
-}
-
-#[test]
-#[ignore = "makes the test data anew; their costs have to be asked of scipy again then"]
-fn write_the_problems() {
-    let noise = (0.1, 0.05);
-    for (name, spec) in [
-        ("sphere.g2o", Spec::new(Shape::Sphere { laps: 6, lap: 6 }, noise)),
-        ("torus.g2o", Spec::new(Shape::Torus { windings: 6, winding: 6 }, noise)),
-        ("grid.g2o", Spec { false_share: 0.1, ..Spec::new(Shape::Grid { nodes: 40 }, noise) }),
-    ] {
-        std::fs::write(data(name), g2o::write(&spec.make().graph)).unwrap();
-    }
 }
 
 #[test]

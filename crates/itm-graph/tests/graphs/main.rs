@@ -1,5 +1,7 @@
 //! Whole graphs through the public API.
 
+#![allow(clippy::unwrap_used, reason = "this is a test, and its helpers outside of #[test] functions are too")]
+
 mod agreement;
 mod closures;
 mod convergence;

@@ -2,6 +2,8 @@
 //! a coil on a torus, and a walk on a grid with right-angled turns, after the Manhattan worlds of Olson et al. 2006, in
 //! three dimensions.
 
+#![allow(clippy::unwrap_used, reason = "all of a problem is made here, so that no graph can refuse it")]
+
 use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
