@@ -35,7 +35,8 @@ pub struct Edge {
 }
 
 /// The information of a measurement whose error has the same standard deviation in each direction: `translation_m`
-/// metres and `rotation_rad` radians about each axis.
+/// metres and `rotation_rad` radians about each axis. Both above zero; [`PoseGraph::add_edge`](crate::PoseGraph::add_edge)
+/// refuses what comes of others.
 pub fn information(translation_m: f64, rotation_rad: f64) -> Matrix6<f64> {
     let (t, r) = (translation_m.powi(-2), rotation_rad.powi(-2));
     Matrix6::from_diagonal(&Vector6::new(t, t, t, r, r, r))

@@ -22,7 +22,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { max_iterations: 100, cost_tolerance: 1e-9, step_tolerance: 1e-9, initial_damping: 1e-6 }
+        Self { max_iterations: 100, cost_tolerance: 1e-7, step_tolerance: 1e-9, initial_damping: 1e-6 }
     }
 }
 
@@ -214,7 +214,9 @@ fn damped_step(system: &mut System, damping: f64) -> Option<(Vec<f64>, f64)> {
     for diagonal in &mut added {
         *diagonal = damping * diagonal.max(floor);
     }
-    if !system.factor.factorise(&system.pattern, &system.hessian, &added) {
+    // An infinite diagonal would have a factor all the same, and steps of zero that look like convergence.
+    let is_finite = added.iter().all(|d| d.is_finite());
+    if !is_finite || !system.factor.factorise(&system.pattern, &system.hessian, &added) {
         return None;
     }
     let mut step: Vec<f64> = system.gradient.iter().map(|g| -g).collect();

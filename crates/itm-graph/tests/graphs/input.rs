@@ -87,6 +87,20 @@ fn distances_beyond_numbers_are_an_error() {
     assert_eq!(graph, before);
 }
 
+#[test]
+fn a_system_beyond_numbers_stalls() {
+    // The cost is finite, but a rotation of node 0 moves node 1 so far that the Hessian is not.
+    let mut graph = row(1);
+    graph.add_node(B, ahead(1.1e160)).unwrap();
+    graph.add_node(NodeId(2), Se3::IDENTITY).unwrap();
+    for id in [A, NodeId(2)] {
+        graph.add_edge(Edge::sequential(id, B, ahead(1e160), information(1e10, 1.0))).unwrap();
+    }
+    let report = graph.optimise(&Options::default()).unwrap();
+    assert!(!report.converged() && report.final_cost.is_finite(), "{report:?}");
+    assert!(graph.nodes().iter().all(|node| node.world_from_node.is_finite()));
+}
+
 proptest! {
     #[test]
     fn any_graph_ends_with_finite_poses_and_no_higher_cost(
