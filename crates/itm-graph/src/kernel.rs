@@ -18,8 +18,8 @@ pub enum Kernel {
     /// with `s = min(1, 2 φ / (φ + χ²))`, which is the derivative of `ρ = χ²` up to `φ`, and of
     /// `φ (3 χ² - φ) / (χ² + φ)` beyond. That tends to `3 φ`: an edge that the others contradict stops pulling.
     DynamicScaling {
-        /// The `χ²` from which an edge counts less. True edges have 6 on average, so that a `φ` below about 12 gives
-        /// up true closures where the poses start far off; see [`Edge::CLOSURE_PHI`](crate::Edge::CLOSURE_PHI).
+        /// The `χ²` from which an edge counts less. True edges have up to 6 on average; where `φ` is below that, true
+        /// closures are given up as well. [`Edge::CLOSURE_PHI`](crate::Edge::CLOSURE_PHI) is a good one.
         phi: f64,
     },
 }
