@@ -129,7 +129,14 @@ impl Relocaliser for Ferns {
         if valid_share < self.settings.min_valid_share {
             return Ok(Harvest::Blind { valid_share });
         }
-        let nearest = self.nearest(&row, 1, &|_| true).pop();
+        // What looks alike elsewhere must not keep a place from being remembered: opposite walls of a room would.
+        let (within_m, within_rad) = (self.settings.place_within_m, self.settings.place_within_rad);
+        let same_place = |keyframe: &Keyframe| {
+            let between = keyframe.submap_from_camera.inverse() * *submap_from_camera;
+            let near = between.translation.length() <= within_m && between.angle() <= within_rad;
+            keyframe.submap == submap && near
+        };
+        let nearest = self.nearest(&row, 1, &same_place).pop();
         match nearest {
             Some(nearest) if nearest.dissimilarity <= self.settings.min_dissimilarity => Ok(Harvest::Known { nearest }),
             _ => {

@@ -31,10 +31,10 @@ pub enum Harvest {
     Added {
         /// The new keyframe's number.
         id: u32,
-        /// The most similar one of those before, if any has anything in common with the view.
+        /// The most similar one of those of its place before, if any has anything in common with the view.
         nearest: Option<Candidate>,
     },
-    /// It resembles one that there is already.
+    /// It resembles one of its place that there is already.
     Known {
         /// That keyframe, the most similar one.
         nearest: Candidate,

@@ -9,7 +9,7 @@ use crate::{Candidate, Error, Ferns, Harvest, Keyframe, SmallView};
 /// The same calls in the same order give the same answers.
 pub trait Relocaliser: Send {
     /// Offers the view of a well tracked frame with the camera's pose in a submap. It becomes a keyframe where it is dissimilar
-    /// enough from all that there are, of all submaps.
+    /// enough from all that there are of its place: in its submap and near it.
     ///
     /// # Errors
     /// A view of the wrong size, a pose that is no rigid motion, or no number left; nothing has changed then.

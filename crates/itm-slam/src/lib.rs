@@ -50,10 +50,11 @@ pub use happening::Happening;
 pub use saved::SavedMap;
 pub use saving::{SavedSession, settings_of};
 pub use session::{Event, Session, SessionOptions, Start, Summary};
-pub use slam::{Poses, Slam};
+pub use slam::{Poses, Sighting, Slam};
 pub use source::BlockSource;
 pub use views::{MapViews, full_confidence};
 
 pub use itm_core::*;
 pub use itm_gpu::render::{Scale, Shading};
 pub use itm_gpu::{AdapterKind, AdapterReport, Capabilities, Device, FrameRecord, MapLayout};
+pub use itm_reloc::Keyframe;

@@ -87,6 +87,20 @@ impl Local {
         self.track_with(eyes, frame, |tracker, objective, moment| tracker.track(objective, moment, further))
     }
 
+    /// Finds a frame's pose, starting from the most promising of several poses. `None` without a model.
+    pub(crate) fn search(
+        &mut self,
+        eyes: &mut Eyes<'_>,
+        frame: &Frame,
+        starts: &[Se3],
+        most: usize,
+    ) -> Result<Option<Tracked>, Error> {
+        self.track_with(eyes, frame, |tracker, objective, moment| {
+            let starts = tracker.shortlist(objective, moment.age, starts, most)?;
+            tracker.track_from(objective, moment, &starts)
+        })
+    }
+
     /// Finds a frame's pose, starting from certain poses. `None` without a model.
     pub(crate) fn track_from(
         &mut self,

@@ -16,8 +16,11 @@ use crate::local::{Eyes, Local, Needs};
 use crate::mapper::Mapper;
 use crate::tracking::{Tracked, Tracker, Verdict};
 
-/// Poses that are followed up of those that the candidates lead to.
-const FOLLOWED_UP: usize = 2;
+/// Poses around a keyframe's from which tracking sets out, of all that are compared at the coarsest level.
+const SEARCHED: usize = 4;
+/// Places that are followed up, of those that the candidates lead to, and how often.
+const FOLLOWED_UP: usize = 3;
+const ROUNDS: usize = 4;
 
 /// The places, and what finds them.
 pub(crate) struct Places {
@@ -142,38 +145,55 @@ impl Places {
         let mut led = Vec::new();
         for candidate in candidates {
             let pose = candidate.keyframe.submap_from_camera;
-            let starts: Vec<Se3> = std::iter::once(pose).chain(around(&pose)).collect();
-            let tracked = self.try_from(mapper, eyes, frame, candidate.keyframe.submap, &pose, &starts)?;
+            self.look_from(mapper, candidate.keyframe.submap, &pose)?;
+            let tracked = self.trial.search(eyes, frame, &near(&pose), SEARCHED)?.expect("there is a model");
             led.push((*candidate, tracked));
         }
-        led.sort_by(|(_, a), (_, b)| a.verdict.cmp(&b.verdict).then(a.chance_wrong.total_cmp(&b.chance_wrong)));
+        led.sort_by(|(_, a), (_, b)| a.chance_wrong.total_cmp(&b.chance_wrong));
         let mut best: Option<Found> = None;
-        for (candidate, first) in led.into_iter().take(FOLLOWED_UP) {
-            let pose = first.estimate;
-            let tracked = self.try_from(mapper, eyes, frame, candidate.keyframe.submap, &pose, &[pose])?;
-            let right = tracked.verdict == Verdict::Good && tracked.inlier_share >= self.min_inlier_share;
-            if right && best.as_ref().is_none_or(|best| tracked.chance_wrong < best.tracked.chance_wrong) {
+        for (candidate, tracked) in led.into_iter().take(FOLLOWED_UP) {
+            let Some(tracked) = self.follow_up(mapper, eyes, frame, &candidate, tracked)? else { continue };
+            if best.as_ref().is_none_or(|best| tracked.chance_wrong < best.tracked.chance_wrong) {
                 best = Some(Found { candidate, tracked });
             }
         }
         Ok(best)
     }
 
-    /// Tracks the frame against a submap as seen from a pose.
-    fn try_from(
+    /// Tracks again from where tracking led, with the map as seen from there, until all that the frame shows agrees with it;
+    /// `None` where it does not come to that.
+    fn follow_up(
         &mut self,
         mapper: &mut Mapper,
         eyes: &mut Eyes<'_>,
         frame: &Frame,
-        submap: u16,
-        submap_from_camera: &Se3,
-        starts: &[Se3],
-    ) -> Result<Tracked, Error> {
-        let trial = &mut self.trial;
-        mapper.cast_for_tracking(submap, &mut trial.model, submap_from_camera)?;
-        trial.submap = submap;
-        trial.submap_from_model = Some(*submap_from_camera);
-        Ok(trial.track_from(eyes, frame, starts)?.expect("there is a model"))
+        candidate: &Candidate,
+        mut tracked: Tracked,
+    ) -> Result<Option<Tracked>, Error> {
+        for round in 0..ROUNDS {
+            let pose = tracked.estimate;
+            self.look_from(mapper, candidate.keyframe.submap, &pose)?;
+            let next = self.trial.track_from(eyes, frame, &[pose])?.expect("there is a model");
+            let Candidate { keyframe: Keyframe { id, .. }, dissimilarity } = *candidate;
+            let (verdict, share) = (next.verdict.name(), next.inlier_share);
+            tracing::debug!(id, dissimilarity, round, verdict, next.chance_wrong, share, "a keyframe's place is tried");
+            if next.verdict == Verdict::Good {
+                return Ok((next.inlier_share >= self.min_inlier_share).then_some(next));
+            }
+            if round > 0 && next.chance_wrong >= tracked.chance_wrong {
+                break;
+            }
+            tracked = next;
+        }
+        Ok(None)
+    }
+
+    /// Casts a submap as it is seen from a pose, to be tracked against.
+    fn look_from(&mut self, mapper: &mut Mapper, submap: u16, submap_from_camera: &Se3) -> Result<(), Error> {
+        mapper.cast_for_tracking(submap, &mut self.trial.model, submap_from_camera)?;
+        self.trial.submap = submap;
+        self.trial.submap_from_model = Some(*submap_from_camera);
+        Ok(())
     }
 }
 
@@ -184,7 +204,29 @@ fn trial_settings(settings: &Settings) -> Settings {
     settings.tracker.extended.use_depth = true;
     settings.tracker.extended.use_colour = false;
     settings.tracker.extended.use_map_colour = false;
+    // From further away than between frames, and not turning alone.
+    settings.tracker.extended.levels = "bbbb".into();
+    settings.tracker.extended.max_plane_distance_coarse_m = 0.3;
     settings
+}
+
+/// Poses around a keyframe's: it, and others as far as most of its view is still in view.
+fn near(pose: &Se3) -> Vec<Se3> {
+    let mut poses = Vec::new();
+    for degrees in [0.0_f64, 12.0, -12.0, 24.0, -24.0] {
+        for [x, z] in [[0.0, 0.0], [0.3, 0.0], [-0.3, 0.0], [0.0, 0.3], [0.0, -0.3], [0.0, 0.6], [0.0, -0.6]] {
+            poses.push(
+                *pose
+                    * Se3::exp([x, 0.0, z, 0.0, 0.0, 0.0])
+                    * Se3::exp([0.0, 0.0, 0.0, 0.0, degrees.to_radians(), 0.0]),
+            );
+        }
+    }
+    for degrees in [10.0_f64, -10.0] {
+        poses.push(*pose * Se3::exp([0.0, 0.0, 0.0, degrees.to_radians(), 0.0, 0.0]));
+        poses.push(*pose * Se3::exp([0.0, 0.0, 0.0, 0.0, 0.0, 2.0 * degrees.to_radians()]));
+    }
+    poses
 }
 
 /// Poses around one, to start from after a loss: turned as far as an image still overlaps, or moved aside while turning.

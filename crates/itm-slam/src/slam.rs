@@ -21,6 +21,7 @@ use crate::robot::Questions;
 use crate::source::BlockSource as _;
 use crate::tracking::{Against, Tracked, Tracker, Verdict, colour_offset};
 use crate::views::MapViews;
+use itm_reloc::Keyframe;
 
 /// Where poses come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,7 +76,7 @@ impl Slam {
             Poses::Tracked => Needs::of(&tracker),
             Poses::Given => Needs::nothing(),
         };
-        if let (Some(places), Poses::Tracked) = (&places, poses) {
+        if let Some(places) = &places {
             needs.levels = needs.levels.max(places.needs().levels);
         }
         let view_options = ViewOptions {
@@ -124,6 +125,11 @@ impl Slam {
     /// Blocks that the map can hold before its pools grow.
     pub fn capacity(&self) -> u32 {
         self.mapper.map.capacity()
+    }
+
+    /// The places that are remembered, to find the camera again; see [`itm_core::RelocaliserSettings`].
+    pub fn keyframes(&self) -> &[Keyframe] {
+        self.places.as_ref().map_or(&[], |places| places.relocaliser.keyframes())
     }
 
     /// Bytes of device memory that the map takes.
@@ -274,6 +280,21 @@ impl Slam {
             }
         };
         Ok(located)
+    }
+
+    /// Looks for a frame's place in the map by its keyframes alone, and leaves everything as it is.
+    ///
+    /// # Errors
+    /// As [`Slam::process`].
+    pub fn find(&mut self, frame: &Frame) -> Result<Sighting, Error> {
+        let _untimed = self.look(frame)?;
+        let Self { device, places, mapper, evaluator, view, calibration, settings, .. } = self;
+        let Some(places) = places else { return Ok(Sighting::default()) };
+        let candidates = places.candidates(device, &|_| true)?;
+        let mut eyes = Eyes { evaluator, view, calibration, settings };
+        let found = places.find(mapper, &mut eyes, frame, &candidates)?;
+        let resembles = candidates.first().map(|candidate| candidate.keyframe);
+        Ok(Sighting { resembles, found: found.map(|found| (found.candidate.keyframe, found.tracked)) })
     }
 
     /// Finds the frame among the places that the camera has been at. It is followed, but fused only once further frames are
@@ -480,6 +501,15 @@ impl Slam {
         let image = self.mapper.cast(camera, world_from_camera, max_depth_m)?;
         Ok(self.render.run(&self.mapper.map, &image, world_from_camera, shading, &scale)?)
     }
+}
+
+/// What the keyframes say about where a frame's camera is.
+#[derive(Clone, Debug, Default)]
+pub struct Sighting {
+    /// The keyframe that the frame resembles most, wherever the camera is.
+    pub resembles: Option<Keyframe>,
+    /// Where the camera is, in the submap of the keyframe that led there.
+    pub found: Option<(Keyframe, Tracked)>,
 }
 
 /// Where a frame's camera is, and what is to become of the frame.

@@ -31,9 +31,13 @@ pub struct RelocaliserSettings {
     pub tests: u32,
     /// What the ferns are drawn from. Keyframes can only be compared where it was the same.
     pub seed: u32,
-    /// A frame becomes a keyframe where its dissimilarity from every keyframe is above this, 0 to 1: the share of ferns whose
-    /// codes differ.
+    /// A frame becomes a keyframe where its dissimilarity from every keyframe of its place is above this, 0 to 1: the share of
+    /// ferns whose codes differ.
     pub min_dissimilarity: f64,
+    /// A keyframe is of a frame's place where it is in the same submap and within this many metres of it.
+    pub place_within_m: f64,
+    /// The same, for the angle between them in radians.
+    pub place_within_rad: f64,
     /// Most similar keyframes whose poses are tried after a loss.
     pub candidates: u32,
     /// A candidate's place is the frame's where tracking there is good, and at least this share of the frame's depth pixels agree
@@ -61,6 +65,8 @@ impl Default for RelocaliserSettings {
             tests: 4,
             seed: 1,
             min_dissimilarity: 0.2,
+            place_within_m: 1.0,
+            place_within_rad: 0.7,
             candidates: 5,
             min_inlier_share: 0.5,
             min_valid_share: 0.2,
@@ -133,11 +139,17 @@ impl RelocaliserSettings {
         ] {
             check((0.0..=1.0).contains(&share), key, "between 0 and 1", share)?;
         }
+        for (key, metres) in [
+            ("relocaliser.place_within_m", self.place_within_m),
+            ("relocaliser.average_within_m", self.average_within_m),
+        ] {
+            check((0.0..=1000.0).contains(&metres), key, "between 0 and 1000", metres)?;
+        }
         check(
-            (0.0..=1000.0).contains(&self.average_within_m),
-            "relocaliser.average_within_m",
-            "between 0 and 1000",
-            self.average_within_m,
+            (0.0..=4.0).contains(&self.place_within_rad),
+            "relocaliser.place_within_rad",
+            "between 0 and 4",
+            self.place_within_rad,
         )?;
         check(
             (0.0..=1.5).contains(&self.average_within_rad),
@@ -169,6 +181,8 @@ mod tests {
             "min_dissimilarity=1.01",
             "min_dissimilarity=nan",
             "min_valid_share=-0.1",
+            "place_within_m=-1.0",
+            "place_within_rad=5.0",
             "average_within_m=inf",
             "average_within_rad=3.0",
         ] {

@@ -7,7 +7,9 @@ use itm_io::trajectory::PoseFiles;
 use serde::{Deserialize, Serialize};
 
 use super::plan::{Age, Plan};
-use super::{Exposure, Guess, Motion, Noise, Objective, Tracked, Verdict, classifier, optimise, verdict};
+use super::{
+    Exposure, Guess, Motion, Noise, NormalEquations, Objective, Tracked, Verdict, classifier, optimise, verdict,
+};
 use crate::Error;
 
 /// A frame to be tracked, and what is known at that moment.
@@ -169,6 +171,29 @@ impl Tracker {
                 Ok(tracked)
             }
         }
+    }
+
+    /// Of several poses to start from those where the coarsest level's error is the least, the best first.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub(crate) fn shortlist(
+        &self,
+        objective: &mut dyn Objective,
+        age: Age,
+        starts: &[Se3],
+        most: usize,
+    ) -> Result<Vec<Se3>, Error> {
+        let Some(plan) = self.plan(age) else { return Ok(starts.iter().copied().take(most).collect()) };
+        let Some(level) = plan.levels.first() else { return Ok(Vec::new()) };
+        let mut ranked = Vec::new();
+        for start in starts {
+            let evaluation = objective.evaluate(&Guess::at(*start), &level.request)?;
+            let cost = NormalEquations::new(&evaluation, &level.request, &plan, &self.noise, plan.colour_weight).cost;
+            ranked.push((cost, *start));
+        }
+        ranked.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        Ok(ranked.into_iter().take(most).map(|(_, start)| start).collect())
     }
 
     fn track_composite(
