@@ -80,6 +80,20 @@ impl Builder {
         }
     }
 
+    /// Repeats all that is there, `count` times and `pitch_m` apart along x, around the origin. The copies look alike.
+    pub(crate) fn repeat(&mut self, count: usize, pitch_m: f32) {
+        let originals = std::mem::take(&mut self.objects);
+        for i in 0..count {
+            let to = Vec3::X * pitch_m * (i as f32 - 0.5 * (count as f32 - 1.0));
+            self.objects.extend(originals.iter().map(|object| object.moved(Vec3::ZERO, to, Quat::IDENTITY)));
+        }
+    }
+
+    /// Height of the ceiling in metres.
+    pub(crate) fn height(&self) -> f32 {
+        self.height
+    }
+
     /// Floor, walls, ceiling with beams across z at some x, skirting.
     pub(crate) fn shell(&mut self, surfaces: &Surfaces, beams: &[f32]) {
         let Self { half_x, half_z, height, .. } = *self;

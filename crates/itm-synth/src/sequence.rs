@@ -476,7 +476,9 @@ mod tests {
 
     #[test]
     fn surfaces_are_where_a_depth_camera_sees_them() {
-        for path in Path::ALL.into_iter().filter(|path| *path != Path::Hall) {
+        for path in
+            Path::ALL.into_iter().filter(|p| !matches!(p, Path::Hall | Path::Corridor | Path::Eight | Path::Rooms))
+        {
             let sequence = Sequence::new(Spec::new(path).with_size(40, 30)).unwrap();
             let (mut pixels, mut near) = (0usize, 0usize);
             for i in (0..sequence.spec().frames).step_by(10) {
