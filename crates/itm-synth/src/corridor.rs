@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
-use crate::fittings::{Facing, Fitting};
+use crate::fittings::{Facing, Fitting, PANEL_M};
 use crate::furniture::{Builder, Surfaces, cloth, plain};
 use crate::texture::colour;
 use crate::{Lamp, Motif, Scene, Texture};
@@ -12,7 +12,7 @@ const HALF_LENGTH: f32 = 15.0;
 const HALF_WIDTH: f32 = 1.2;
 
 /// Along the wall at +z, by x.
-const FAR_SIDE: [(f32, Fitting); 28] = [
+const FAR_SIDE: [(f32, Fitting); 27] = [
     (-13.8, Fitting::Bookshelf),
     (-12.55, Fitting::Pier(0.35, 0.22)),
     (-11.7, Fitting::Bench),
@@ -37,10 +37,9 @@ const FAR_SIDE: [(f32, Fitting); 28] = [
     (6.7, Fitting::Boxes(4)),
     (8.1, Fitting::Sideboard),
     (9.35, Fitting::Pier(0.3, 0.25)),
-    (10.3, Fitting::Chest),
-    (11.9, Fitting::Window),
-    (13.6, Fitting::Boxes(2)),
-    (13.7, Fitting::WallShelf),
+    (9.95, Fitting::Chest),
+    (11.5, Fitting::Window),
+    (13.7, Fitting::Bookshelf),
 ];
 
 /// Along the wall at -z, by x.
@@ -79,7 +78,7 @@ impl Scene {
     /// benches and boxes stand close enough for depth to tell everywhere how far along a camera is.
     ///
     /// The world's origin lies on the floor in the middle; x points along the corridor, y down. Free space for a camera
-    /// is within 0.15 m of the middle line from x = -13.6 to 13.6, 1.3 to 1.5 m above the floor.
+    /// is within 0.15 m of the middle line from x = -13.3 to 13.3, 1.3 to 1.5 m above the floor.
     pub fn corridor() -> Self {
         let mut corridor = Builder::new((2.0 * HALF_LENGTH, 2.0 * HALF_WIDTH), 2.6);
         let limed = cloth(0xb9c4cf, 0xdfe4e6, 0.6);
@@ -92,8 +91,9 @@ impl Scene {
         corridor.shell(&surfaces, &beams);
         corridor.panel_wall((-HALF_LENGTH, HALF_LENGTH), HALF_WIDTH, Facing::MinusZ);
         corridor.panel_wall((-HALF_LENGTH, HALF_LENGTH), -HALF_WIDTH, Facing::PlusZ);
+        let before_panels = HALF_WIDTH - PANEL_M;
         for (facing, z, fittings) in
-            [(Facing::MinusZ, HALF_WIDTH, &FAR_SIDE[..]), (Facing::PlusZ, -HALF_WIDTH, &NEAR_SIDE[..])]
+            [(Facing::MinusZ, before_panels, &FAR_SIDE[..]), (Facing::PlusZ, -before_panels, &NEAR_SIDE[..])]
         {
             for &(x, fitting) in fittings {
                 corridor.fit_wall(facing, &[((x, z), fitting)]);
@@ -110,9 +110,10 @@ impl Scene {
         corridor.fit_wall(
             Facing::MinusX,
             &[
-                ((HALF_LENGTH, -0.3), Fitting::Chest),
-                ((HALF_LENGTH, -0.35), Fitting::Picture(Motif::Flowers)),
-                ((HALF_LENGTH, 0.65), Fitting::FloorLamp),
+                ((HALF_LENGTH, -0.5), Fitting::Chest),
+                ((HALF_LENGTH, -0.45), Fitting::Picture(Motif::Flowers)),
+                ((HALF_LENGTH, 0.25), Fitting::Pier(0.35, 0.4)),
+                ((HALF_LENGTH, 0.75), Fitting::FloorLamp),
             ],
         );
         corridor.runners();

@@ -55,6 +55,9 @@ pub(crate) enum Fitting {
     Chair,
 }
 
+/// How deep the panels of [`Builder::panel_wall`] are at most, above the dado.
+pub(crate) const PANEL_M: f32 = 0.02;
+
 impl Builder {
     /// Puts fittings before a wall that looks `facing`, each around a place at its foot.
     pub(crate) fn fit_wall(&mut self, facing: Facing, fittings: &[((f32, f32), Fitting)]) {
@@ -165,20 +168,19 @@ impl Builder {
         }
     }
 
-    /// Panels of many coverings along a wall, from `from` to `to`: a place at the foot of each end, the wall looking to
-    /// `facing` and running along x.
+    /// Panels of many coverings, each with a dado of its own, along a wall at `z` between two x.
     pub(crate) fn panel_wall(&mut self, (from, to): (f32, f32), z: f32, facing: Facing) {
         let into_room = if facing == Facing::PlusZ { 1.0 } else { -1.0 };
         let mut x = from;
         while x < to {
             let wide = self.between(1.7, 3.4).min(to - x);
-            let deep = self.between(0.01, 0.05);
+            let deep = self.between(0.2, 1.0) * PANEL_M;
             let height = self.height();
             let split = self.between(0.7, 1.2);
             let (below, above) = (self.covering(), self.covering());
             let middle = x + 0.5 * wide;
             self.block((middle, z + into_room * 0.5 * deep), split, (wide, height - split, deep), above);
-            self.block((middle, z + into_room * 0.5 * (deep + 0.02)), 0.0, (wide, split, deep + 0.02), below);
+            self.block((middle, z + into_room * 0.5 * (deep + 0.015)), 0.0, (wide, split, deep + 0.015), below);
             x += wide;
         }
     }

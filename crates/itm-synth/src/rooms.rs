@@ -37,8 +37,9 @@ impl Scene {
         rooms.repeat(ROOMS, PITCH_M);
         let end = 0.5 * ROOMS as f32 * PITCH_M;
         rooms.partition(-end);
+        let boards: Material = Texture::Planks { light: colour(0xb5713a), dark: colour(0x70401d), width: 0.12 }.into();
         for x in [-end - 0.5 * WALL_M, end + 0.5 * WALL_M] {
-            rooms.block((x, OPENING_Z), 0.0, (WALL_M, HEIGHT, 2.0 * OPENING_HALF + 0.2), oak());
+            rooms.block((x, OPENING_Z), 0.0, (WALL_M, HEIGHT, 2.0 * OPENING_HALF + 0.2), boards);
         }
         for i in 0..ROOMS {
             rooms.put((0.0, 0.0), (room_middle(i), 0.0), 0.0, |b| b.distinguish(i));

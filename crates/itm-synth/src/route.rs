@@ -101,7 +101,8 @@ impl Route {
     }
 }
 
-/// Weights of the control points around a share of a span, by the recursion of Cox and de Boor.
+/// Weights of the control points around a share of a span, by the recursion of Cox and de Boor (de Boor 1972, *On
+/// Calculating with B-splines*).
 fn basis(u: f64) -> [f64; DEGREE + 1] {
     let mut weights = [0.0; DEGREE + 1];
     weights[0] = 1.0;

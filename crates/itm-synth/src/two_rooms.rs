@@ -82,7 +82,12 @@ impl Builder {
         );
         self.fit_wall(
             Facing::MinusX,
-            &[((-0.1, 1.7), Fitting::Picture(Motif::Flowers)), ((-0.1, -1.7), Fitting::WallShelf)],
+            &[
+                ((-0.1, 2.05), Fitting::WallShelf),
+                ((-0.1, 1.9), Fitting::Chest),
+                ((-0.1, 1.3), Fitting::Pier(0.3, 0.25)),
+                ((-0.1, -1.7), Fitting::WallShelf),
+            ],
         );
         self.floor_lamp(-5.1, 2.2);
         self.put((0.05, 0.3), (-2.5, 0.0), 0.3, |b| {
@@ -121,7 +126,12 @@ impl Builder {
         );
         self.fit_wall(
             Facing::PlusX,
-            &[((0.1, 1.75), Fitting::Picture(Motif::Landscape)), ((0.1, -1.8), Fitting::Boxes(4))],
+            &[
+                ((0.1, 1.95), Fitting::Pier(0.3, 0.25)),
+                ((0.1, 1.3), Fitting::Chest),
+                ((0.1, 1.3), Fitting::WallShelf),
+                ((0.1, -1.8), Fitting::Boxes(4)),
+            ],
         );
         let half = Vec2::new(1.3, 1.0);
         let colours = [colour(0x31506b), colour(0x8c3b2e), colour(0xd9c79a)];

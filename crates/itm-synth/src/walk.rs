@@ -14,7 +14,7 @@ const HEIGHT: f64 = 1.4;
 
 /// There and back along [`Scene::corridor`](crate::Scene::corridor), looking now at the one wall, now at the other.
 static CORRIDOR: LazyLock<Route> = LazyLock::new(|| {
-    const END: f64 = 13.6;
+    const END: f64 = 13.3;
     // Where along x, and how many degrees to the right of straight ahead the camera looks there.
     let stops = [
         (-12.1, 14.0),
