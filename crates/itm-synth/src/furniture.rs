@@ -80,12 +80,16 @@ impl Builder {
         }
     }
 
-    /// Repeats all that is there, `count` times and `pitch_m` apart along x, around the origin. The copies look alike.
-    pub(crate) fn repeat(&mut self, count: usize, pitch_m: f32) {
-        let originals = std::mem::take(&mut self.objects);
-        for i in 0..count {
-            let to = Vec3::X * pitch_m * (i as f32 - 0.5 * (count as f32 - 1.0));
-            self.objects.extend(originals.iter().map(|object| object.moved(Vec3::ZERO, to, Quat::IDENTITY)));
+    /// Adds pieces `count` times, `pitch_m` apart along x, around the place where they are described. They look alike to
+    /// the last book and the last grain.
+    pub(crate) fn repeat(&mut self, count: usize, pitch_m: f32, pieces: impl FnOnce(&mut Self)) {
+        let first = self.objects.len();
+        pieces(self);
+        for object in self.objects.split_off(first) {
+            self.objects.extend((0..count).map(|i| {
+                let to = Vec3::X * pitch_m * (i as f32 - 0.5 * (count as f32 - 1.0));
+                object.moved(Vec3::ZERO, to, Quat::IDENTITY)
+            }));
         }
     }
 

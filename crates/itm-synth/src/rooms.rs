@@ -33,10 +33,9 @@ impl Scene {
     /// at x = 3.625 (i - 4.5). The first and the last room have a closed door where the others have an opening.
     pub fn rooms() -> Self {
         let mut rooms = Builder::new((ROOMS as f32 * PITCH_M, 2.0 * HALF_DEPTH), HEIGHT);
-        rooms.one_room();
-        rooms.repeat(ROOMS, PITCH_M);
+        rooms.repeat(ROOMS, PITCH_M, Builder::one_room);
+        rooms.repeat(ROOMS + 1, PITCH_M, Builder::partition);
         let end = 0.5 * ROOMS as f32 * PITCH_M;
-        rooms.partition(-end);
         let boards: Material = Texture::Planks { light: colour(0xb5713a), dark: colour(0x70401d), width: 0.12 }.into();
         for x in [-end - 0.5 * WALL_M, end + 0.5 * WALL_M] {
             rooms.block((x, OPENING_Z), 0.0, (WALL_M, HEIGHT, 2.0 * OPENING_HALF + 0.2), boards);
@@ -56,21 +55,21 @@ pub(crate) fn room_middle(room: usize) -> f32 {
 }
 
 impl Builder {
-    /// A wall across x with an opening.
-    fn partition(&mut self, x: f32) {
+    /// A wall across x = 0 with an opening.
+    fn partition(&mut self) {
         let material: Material =
             Texture::Bricks { brick: colour(0xa9573f), mortar: colour(0xb9ad9c), length: 0.25 }.into();
         let (left, right) = (OPENING_Z - OPENING_HALF, OPENING_Z + OPENING_HALF);
         for (from, to, bottom) in [(-HALF_DEPTH, left, 0.0), (right, HALF_DEPTH, 0.0), (left, right, OPENING_HEIGHT)] {
-            self.block((x, 0.5 * (from + to)), bottom, (WALL_M, HEIGHT - bottom, to - from), material);
+            self.block((0.0, 0.5 * (from + to)), bottom, (WALL_M, HEIGHT - bottom, to - from), material);
         }
         for z in [left, right] {
-            self.block((x, z), 0.0, (WALL_M + 0.06, OPENING_HEIGHT, 0.08), walnut());
+            self.block((0.0, z), 0.0, (WALL_M + 0.06, OPENING_HEIGHT, 0.08), walnut());
         }
-        self.block((x, OPENING_Z), OPENING_HEIGHT, (WALL_M + 0.06, 0.08, 2.0 * OPENING_HALF + 0.08), walnut());
+        self.block((0.0, OPENING_Z), OPENING_HEIGHT, (WALL_M + 0.06, 0.08, 2.0 * OPENING_HALF + 0.08), walnut());
     }
 
-    /// A room around x = 0, with the partition towards +x.
+    /// A room around x = 0, without the partitions at its ends.
     fn one_room(&mut self) {
         let (t, z) = (WALL_M, HALF_DEPTH);
         let floor = Texture::Planks { light: colour(0xc8935a), dark: colour(0x8f5c32), width: 0.14 };
@@ -82,11 +81,9 @@ impl Builder {
         let painted = Texture::Noise { a: colour(0xd7b98a), b: colour(0xe9d6b2), size: 0.5 };
         self.block((0.0, -z - 0.5 * t), 0.0, (PITCH_M, HEIGHT, t), painted.into());
         self.block((0.0, 0.2), HEIGHT - 0.14, (0.14, 0.14, 2.0 * z), walnut());
-        let half_pitch = 0.5 * PITCH_M;
-        self.partition(half_pitch);
 
         self.ceiling_lamp(0.0, 0.2);
-        let inner = half_pitch - 0.5 * t;
+        let inner = 0.5 * (PITCH_M - t);
         self.fit_wall(
             Facing::MinusZ,
             &[((0.7, z), Fitting::Bookshelf), ((-0.8, z), Fitting::Picture(Motif::Landscape))],
