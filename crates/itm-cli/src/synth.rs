@@ -26,22 +26,30 @@ Examples:
   itm synth loop --path loop --quality fine          450 frames once around
   itm synth small --size 320x240 --frames 30 --noise off
   itm synth wall --path wall --scene blank-wall      past a wall that neither depth nor colour can be tracked by
+  itm synth long --path corridor --size 320x240      30 m along a corridor and back to where it started
+  itm synth again --path loop --there-and-back       once around, then the same way back
   itm synth hard --path fast --cover gradually --exposure auto --colour-delay 0.015 --motion-blur 0.02")]
 pub(crate) struct Arguments {
     /// Folder to write; made where it is missing, files of the same names are replaced
     out: PathBuf,
     /// How the camera moves: arc, loop, shake (too fast), covered (a hand over the lens for a while), fast (a hand in
-    /// a hurry), wall (past a bare wall) or hall (a long way, much of it far from everything)
+    /// a hurry), wall (past a bare wall), hall (a long way, much of it far from everything), corridor (30 m to its end and
+    /// back), eight (through two rooms, across its own way), rooms (ten that are taken for each other) or kidnapped (a hand
+    /// over the lens while the camera is carried to a place seen before)
     #[arg(long, default_value = "arc", value_parser = Path::from_str)]
     path: Path,
-    /// Where: room, hall, wall or blank-wall, each of its own paths [default: the path's scene; for wall the textured one]
+    /// Where: room, hall, wall, blank-wall, corridor, two-rooms or rooms, each of its own paths [default: the path's scene;
+    /// for wall the textured one]
     #[arg(long, value_name = "NAME", value_parser = SceneName::from_str)]
     scene: Option<SceneName>,
     /// Number of frames, 30 a second [default: as many as the path's duration takes]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     frames: Option<u32>,
+    /// Then back the same way, from the last frame to the first: one frame less than twice as many
+    #[arg(long)]
+    there_and_back: bool,
     /// Seconds that the path takes, which sets the camera's speed [default: 2 (arc), 15
-    /// (loop), 12 (fast), 10 (wall), 20 (hall), 4 (others)]
+    /// (loop), 12 (fast), 10 (wall), 20 (hall), 96 (corridor), 40 (eight), 90 (rooms), 18 (kidnapped), 4 (others)]
     #[arg(long, value_name = "SECONDS")]
     duration: Option<f64>,
     /// Width and height of the images in pixels
@@ -51,7 +59,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_enum, default_value_t = Noise::Kinect)]
     noise: Noise,
     /// A hand over the lens in the middle of the path's time: no depth, and dark colour, where it is [default: none but
-    /// that of --path covered]
+    /// that of --path covered and kidnapped]
     #[arg(long, value_enum, value_name = "HOW")]
     cover: Option<CoverArgument>,
     /// Brightness of colour
@@ -147,6 +155,9 @@ impl Arguments {
             spec.frames = (duration_s * spec.frame_rate_hz).round() as u32;
         }
         spec.frames = self.frames.unwrap_or(spec.frames).max(1);
+        if self.there_and_back {
+            spec = spec.there_and_back();
+        }
         spec.seed = self.seed;
         spec.scene = self.scene.unwrap_or(spec.scene);
         spec.cover = self.cover.map(|cover| match cover {

@@ -14,7 +14,7 @@ fn main() -> Result<(), Error> {
     let frames = std::env::args().nth(1).and_then(|n| n.parse().ok()).unwrap_or(12);
     println!("{} threads", rayon::current_num_threads());
     println!("{:<10} {:<12} {:>8} {:>8} {:>8} {:>8} {:>8}", "path", "scene", "size", "depth", "noisy", "draft", "fine");
-    for path in Path::ALL.into_iter().filter(|path| !matches!(path, Path::Shake | Path::Covered)) {
+    for path in Path::ALL.into_iter().filter(|path| !matches!(path, Path::Shake | Path::Covered | Path::Kidnapped)) {
         for &scene in path.scenes() {
             for (width, height) in [(160, 120), (320, 240)] {
                 let base = Spec { scene, ..Spec::new(path).with_size(width, height) };

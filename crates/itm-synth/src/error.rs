@@ -11,13 +11,16 @@ use crate::{Path, SceneName};
 #[derive(Debug, Error)]
 pub enum Error {
     /// No path has this name.
-    #[error("there is no path named '{found}'; there are arc, loop, shake, covered, fast, wall and hall")]
+    #[error(
+        "there is no path named '{found}'; there are arc, loop, shake, covered, fast, wall, hall, corridor, eight, rooms \
+         and kidnapped"
+    )]
     UnknownPath {
         /// The name asked for.
         found: String,
     },
     /// No scene has this name.
-    #[error("there is no scene named '{found}'; there are room, hall, wall and blank-wall")]
+    #[error("there is no scene named '{found}'; there are room, hall, wall, blank-wall, corridor, two-rooms and rooms")]
     UnknownScene {
         /// The name asked for.
         found: String,

@@ -80,6 +80,24 @@ impl Builder {
         }
     }
 
+    /// Adds pieces `count` times, `pitch_m` apart along x, around the place where they are described. They look alike to
+    /// the last book and the last grain.
+    pub(crate) fn repeat(&mut self, count: usize, pitch_m: f32, pieces: impl FnOnce(&mut Self)) {
+        let first = self.objects.len();
+        pieces(self);
+        for object in self.objects.split_off(first) {
+            self.objects.extend((0..count).map(|i| {
+                let to = Vec3::X * pitch_m * (i as f32 - 0.5 * (count as f32 - 1.0));
+                object.moved(Vec3::ZERO, to, Quat::IDENTITY)
+            }));
+        }
+    }
+
+    /// Height of the ceiling in metres.
+    pub(crate) fn height(&self) -> f32 {
+        self.height
+    }
+
     /// Floor, walls, ceiling with beams across z at some x, skirting.
     pub(crate) fn shell(&mut self, surfaces: &Surfaces, beams: &[f32]) {
         let Self { half_x, half_z, height, .. } = *self;

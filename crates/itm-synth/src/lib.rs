@@ -10,9 +10,11 @@
 //! Worlds are in metres with y pointing down, so that a level camera's axes are the world's. Everything follows from a
 //! seed and does not depend on the number of threads.
 
+mod corridor;
 mod cover;
 mod error;
 mod exposure;
+mod fittings;
 mod furniture;
 mod hall;
 mod inertial;
@@ -22,11 +24,15 @@ mod path;
 mod random;
 mod render;
 mod room;
+mod rooms;
+mod route;
 mod scene;
 mod sequence;
 mod shape;
 mod surface;
 mod texture;
+mod two_rooms;
+mod walk;
 mod wall;
 mod write;
 

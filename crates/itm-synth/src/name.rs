@@ -16,11 +16,18 @@ pub enum SceneName {
     Wall,
     /// [`Scene::blank_wall`].
     BlankWall,
+    /// [`Scene::corridor`].
+    Corridor,
+    /// [`Scene::two_rooms`].
+    TwoRooms,
+    /// [`Scene::rooms`].
+    Rooms,
 }
 
 impl SceneName {
     /// Every scene.
-    pub const ALL: [Self; 4] = [Self::Room, Self::Hall, Self::Wall, Self::BlankWall];
+    pub const ALL: [Self; 7] =
+        [Self::Room, Self::Hall, Self::Wall, Self::BlankWall, Self::Corridor, Self::TwoRooms, Self::Rooms];
 
     /// The name that [`FromStr`] reads.
     pub fn name(self) -> &'static str {
@@ -29,6 +36,9 @@ impl SceneName {
             Self::Hall => "hall",
             Self::Wall => "wall",
             Self::BlankWall => "blank-wall",
+            Self::Corridor => "corridor",
+            Self::TwoRooms => "two-rooms",
+            Self::Rooms => "rooms",
         }
     }
 
@@ -39,6 +49,9 @@ impl SceneName {
             Self::Hall => Scene::hall(),
             Self::Wall => Scene::wall(),
             Self::BlankWall => Scene::blank_wall(),
+            Self::Corridor => Scene::corridor(),
+            Self::TwoRooms => Scene::two_rooms(),
+            Self::Rooms => Scene::rooms(),
         }
     }
 }

@@ -4,15 +4,16 @@ use std::f64::consts::{PI, TAU};
 use std::fmt;
 use std::str::FromStr;
 
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 use itm_core::Se3;
 
+use crate::walk::{self, look};
 use crate::{Cover, Error, SceneName};
 
 /// A way through a scene, as a smooth function of time that goes on after its duration: some go back, the others start
 /// again.
 ///
-/// All derivatives exist, so that gyroscope and accelerometer follow from it.
+/// At least four derivatives are continuous, so that gyroscope and accelerometer follow from it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Path {
     /// Nearly half a metre to the side past the sofa while turning by 40 degrees, from rest to rest, then back.
@@ -34,11 +35,36 @@ pub enum Path {
     /// Through [`Scene::hall`](crate::Scene::hall) past the dining table, around it with half a turn, and back on its
     /// other side, from rest to rest; then the same way back. Much of what is seen is 3 to 6 m away.
     Hall,
+    /// Along [`Scene::corridor`](crate::Scene::corridor) to its end, a turn on the spot, back to its beginning and another
+    /// turn: 53 m from rest to rest, ending where it starts. The way back shows everything from the other side.
+    Corridor,
+    /// A figure of eight around the tables of [`Scene::two_rooms`](crate::Scene::two_rooms): 20 m, through the passage
+    /// twice, across its own way, ending where it starts.
+    Eight,
+    /// Through [`Scene::rooms`](crate::Scene::rooms) one after the other, looking around in each in the same way, from
+    /// rest in the first to rest in the last; then the same way back.
+    Rooms,
+    /// Looking around at one place in the room, then at another, 1 m away and turned by more than 120 degrees. There the
+    /// lens is covered, and free again when the camera is back where it started: a place seen before that is too far away
+    /// from the last one seen to be found by searching around it. From rest to rest, ending where it starts.
+    Kidnapped,
 }
 
 impl Path {
     /// Every path.
-    pub const ALL: [Self; 7] = [Self::Arc, Self::Loop, Self::Shake, Self::Covered, Self::Fast, Self::Wall, Self::Hall];
+    pub const ALL: [Self; 11] = [
+        Self::Arc,
+        Self::Loop,
+        Self::Shake,
+        Self::Covered,
+        Self::Fast,
+        Self::Wall,
+        Self::Hall,
+        Self::Corridor,
+        Self::Eight,
+        Self::Rooms,
+        Self::Kidnapped,
+    ];
 
     /// The name that [`FromStr`] reads.
     pub fn name(self) -> &'static str {
@@ -50,12 +76,17 @@ impl Path {
             Self::Fast => "fast",
             Self::Wall => "wall",
             Self::Hall => "hall",
+            Self::Corridor => "corridor",
+            Self::Eight => "eight",
+            Self::Rooms => "rooms",
+            Self::Kidnapped => "kidnapped",
         }
     }
 
     /// Seconds that the path takes at the speed of a calm hand: at most 0.5 m/s and 40 degrees/s, but for
     /// [`Path::Shake`], which is meant to be too fast (up to 0.5 m/s and 200 degrees/s), [`Path::Fast`] (up to 1.2 m/s
-    /// and 120 degrees/s), and [`Path::Hall`], where somebody walks (up to 0.8 m/s).
+    /// and 120 degrees/s), and those where somebody walks ([`Path::Hall`], [`Path::Corridor`], [`Path::Eight`],
+    /// [`Path::Rooms`]: up to 0.8 m/s).
     pub fn default_duration_s(self) -> f64 {
         match self {
             Self::Arc => 2.0,
@@ -64,15 +95,22 @@ impl Path {
             Self::Fast => 12.0,
             Self::Wall => 10.0,
             Self::Hall => 20.0,
+            Self::Corridor => 96.0,
+            Self::Eight => 40.0,
+            Self::Rooms => 90.0,
+            Self::Kidnapped => 18.0,
         }
     }
 
     /// The scenes that the path leads through, the usual one first.
     pub fn scenes(self) -> &'static [SceneName] {
         match self {
-            Self::Arc | Self::Loop | Self::Shake | Self::Covered | Self::Fast => &[SceneName::Room],
+            Self::Arc | Self::Loop | Self::Shake | Self::Covered | Self::Fast | Self::Kidnapped => &[SceneName::Room],
             Self::Wall => &[SceneName::Wall, SceneName::BlankWall],
             Self::Hall => &[SceneName::Hall],
+            Self::Corridor => &[SceneName::Corridor],
+            Self::Eight => &[SceneName::TwoRooms],
+            Self::Rooms => &[SceneName::Rooms],
         }
     }
 
@@ -125,12 +163,20 @@ impl Path {
                 let pitch = -0.2 + 0.05 * (3.0 * around).sin();
                 look(position, 1.4 - 2.9 * along, pitch, 0.02 * (4.0 * around).sin())
             }
+            Self::Corridor => walk::corridor(turn.rem_euclid(1.0)),
+            Self::Eight => walk::eight(a),
+            Self::Rooms => walk::rooms(1.0 - (turn.rem_euclid(2.0) - 1.0).abs()),
+            Self::Kidnapped => walk::kidnapped(turn.rem_euclid(1.0)),
         }
     }
 
     /// What the path has over the lens, if anything.
     pub fn cover(self) -> Option<Cover> {
-        (self == Self::Covered).then_some(Cover::WHOLLY)
+        match self {
+            Self::Covered => Some(Cover::WHOLLY),
+            Self::Kidnapped => Some(Cover { during: walk::KIDNAPPED_DURING, ..Cover::WHOLLY }),
+            _ => None,
+        }
     }
 }
 
@@ -138,13 +184,6 @@ impl Path {
 fn arc(along: f64) -> Se3 {
     let position = DVec3::new(-0.33 + 0.46 * along, -1.35 + 0.05 * (PI * along).sin(), -0.15 - 0.1 * along);
     look(position, -0.4 + 0.7 * along, -0.28 + 0.08 * along, 0.03 * (PI * along).sin())
-}
-
-/// A camera at a position that looks along +z turned by `yaw` to the right, then by `pitch` upwards, and is then
-/// rolled clockwise by `roll`.
-fn look(position: DVec3, yaw: f64, pitch: f64, roll: f64) -> Se3 {
-    let rotation = DQuat::from_rotation_y(yaw) * DQuat::from_rotation_x(pitch) * DQuat::from_rotation_z(roll);
-    Se3::new(rotation, position)
 }
 
 impl fmt::Display for Path {
@@ -164,6 +203,7 @@ impl FromStr for Path {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rooms::PITCH_M;
 
     /// Largest speeds in m/s and rad/s over a path.
     fn speeds(path: Path) -> (f64, f64) {
@@ -189,6 +229,10 @@ mod tests {
             (Path::Hall, 0.5..=0.8, 10.0..=25.0),
             (Path::Shake, 0.3..=0.5, 150.0..=200.0),
             (Path::Fast, 1.0..=1.2, 100.0..=120.0),
+            (Path::Corridor, 0.6..=0.8, 30.0..=50.0),
+            (Path::Eight, 0.7..=0.8, 10.0..=40.0),
+            (Path::Rooms, 0.5..=0.8, 30.0..=50.0),
+            (Path::Kidnapped, 0.3..=0.5, 30.0..=50.0),
         ] {
             let (linear, angular) = speeds(path);
             assert!(m_per_s.contains(&linear), "{path}: {linear} m/s");
@@ -225,7 +269,7 @@ mod tests {
 
     #[test]
     fn closed_paths_close() {
-        for path in [Path::Loop, Path::Covered, Path::Shake, Path::Fast] {
+        for path in [Path::Loop, Path::Covered, Path::Shake, Path::Fast, Path::Corridor, Path::Eight, Path::Kidnapped] {
             let d = path.default_duration_s();
             let gap = path.world_from_camera(0.0, d).inverse() * path.world_from_camera(d, d);
             assert!(gap.translation.length() < 1e-9 && gap.angle() < 1e-9, "{path}");
@@ -235,25 +279,91 @@ mod tests {
     #[test]
     fn the_camera_keeps_away_from_surfaces() {
         for path in Path::ALL {
+            // A corridor and the openings between rooms are narrow.
+            let nearest = if matches!(path, Path::Corridor | Path::Eight | Path::Rooms) { 0.4 } else { 0.6 };
             for scene in path.scenes() {
                 let (scene, d) = (scene.scene(), path.default_duration_s());
                 for i in 0..500 {
                     let at = path.world_from_camera(d * f64::from(i) / 500.0, d).translation.as_vec3();
                     let clearance = scene.distance(at);
-                    assert!(clearance >= 0.6, "{path}: {clearance} m at {at}");
+                    assert!(clearance >= nearest, "{path}: {clearance} m at {at}");
                 }
             }
         }
     }
 
     #[test]
-    fn the_hall_is_long_and_turns_by_half_a_turn() {
+    fn walks_are_as_long_as_they_say() {
+        for (path, metres) in [
+            (Path::Hall, 8.0..14.0),
+            (Path::Corridor, 53.0..55.0),
+            (Path::Eight, 19.0..21.0),
+            (Path::Rooms, 33.0..35.0),
+        ] {
+            let d = path.default_duration_s();
+            let at = |i: i32| path.world_from_camera(d * f64::from(i) / 1000.0, d).translation;
+            let length: f64 = (0..1000).map(|i| at(i).distance(at(i + 1))).sum();
+            assert!(metres.contains(&length), "{path}: {length} m");
+        }
+    }
+
+    #[test]
+    fn walks_start_and_end_at_rest_where_they_say_so() {
+        for path in [Path::Corridor, Path::Rooms, Path::Kidnapped] {
+            let d = path.default_duration_s();
+            for (from, to) in [(0.0, 0.1), (d - 0.1, d)] {
+                let moved = path.world_from_camera(from, d).inverse() * path.world_from_camera(to, d);
+                assert!(moved.translation.length() < 1e-4 && moved.angle() < 1e-4, "{path} moves from {from} s");
+            }
+        }
+    }
+
+    #[test]
+    fn the_eight_crosses_its_own_way_in_another_direction() {
+        let d = Path::Eight.default_duration_s();
+        let [there, back] = [0.0, 0.5].map(|share| Path::Eight.world_from_camera(share * d, d));
+        assert!(there.translation.distance(back.translation) < 0.05);
+        assert!((there.inverse() * back).angle().to_degrees() > 60.0);
+    }
+
+    #[test]
+    fn who_is_kidnapped_wakes_far_away_at_a_place_seen_before() {
+        let (path, d) = (Path::Kidnapped, Path::Kidnapped.default_duration_s());
+        let during = path.cover().unwrap().during;
+        let [last, woken] = during.map(|share| path.world_from_camera(share * d, d));
+        let carried = last.inverse() * woken;
+        assert!(carried.translation.length() > 1.0, "{} m", carried.translation.length());
+        assert!(carried.angle().to_degrees() > 120.0, "{} degrees", carried.angle().to_degrees());
+        let seen_before = (0..1000).map(|i| during[0] * d * f64::from(i) / 1000.0).any(|time_s| {
+            let apart = path.world_from_camera(time_s, d).inverse() * woken;
+            apart.translation.length() < 0.15 && apart.angle().to_degrees() < 15.0
+        });
+        assert!(seen_before);
+    }
+
+    #[test]
+    fn each_room_is_visited_in_the_same_way() {
+        let d = Path::Rooms.default_duration_s();
+        let poses: Vec<_> = (0..9000).map(|i| Path::Rooms.world_from_camera(d * f64::from(i) / 9000.0, d)).collect();
+        // Poses on the way through the fifth room, and where they are in the others.
+        let of_fifth = poses.iter().filter(|p| (p.translation.x + 0.5 * f64::from(PITCH_M)).abs() < 1.2);
+        for pose in of_fifth.step_by(50) {
+            for rooms_on in [-3.0, 2.0, 4.0] {
+                let there = pose.translation + DVec3::X * rooms_on * f64::from(PITCH_M);
+                let nearest = poses
+                    .iter()
+                    .map(|p| (p.translation.distance(there), (p.inverse() * *pose).angle().to_degrees()))
+                    .min_by(|a, b| a.0.total_cmp(&b.0))
+                    .unwrap();
+                assert!(nearest.0 < 0.05 && nearest.1 < 4.0, "{nearest:?} of {there}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_hall_turns_by_half_a_turn() {
         let (path, d) = (Path::Hall, Path::Hall.default_duration_s());
         let at = |share: f64| path.world_from_camera(share * d, d);
-        let length: f64 = (0..200)
-            .map(|i| at(f64::from(i) / 200.0).translation.distance(at(f64::from(i + 1) / 200.0).translation))
-            .sum();
-        assert!((8.0..14.0).contains(&length), "{length} m");
         let turned = (at(0.0).inverse() * at(1.0)).angle().to_degrees();
         assert!((150.0..=180.0).contains(&turned), "{turned} degrees");
     }
