@@ -6,7 +6,9 @@
 use bytemuck::cast_slice;
 use glam::{DVec3, IVec3, Vec3};
 
-use crate::voxel::{BLOCK_SIDE, BLOCK_VOXELS, ColourVoxel, DistanceKind, DistanceVoxel, FloatVoxel, VoxelKind, index_in_block};
+use crate::voxel::{
+    BLOCK_SIDE, BLOCK_VOXELS, ColourVoxel, DistanceKind, DistanceVoxel, FloatVoxel, VoxelKind, index_in_block,
+};
 
 /// The distance of a point from the nearest surface, as a map knows it.
 #[derive(Clone, Copy, Debug, PartialEq)]

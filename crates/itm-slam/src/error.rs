@@ -58,7 +58,9 @@ pub enum Error {
         reason: itm_core::PoseError,
     },
     /// A submap that its pose puts where no block has a number.
-    #[error("submap {submap} lies further from the world's origin than blocks can be numbered: 16 bits along each axis")]
+    #[error(
+        "submap {submap} lies further from the world's origin than blocks can be numbered: 16 bits along each axis"
+    )]
     SubmapOutOfReach {
         /// Its number.
         submap: u16,

@@ -116,8 +116,7 @@ fn what_is_written_reads_back_and_again_to_the_same_bytes() {
             let kind = VoxelKind { distance, colour, confidence };
             write_map(&path, kind);
             let (blocks, host) = (records(kind, 4), records(kind, 1));
-            let content =
-                Content(header(kind), blocks, host, trajectory(), submaps(), Vec::new(), b"state".to_vec());
+            let content = Content(header(kind), blocks, host, trajectory(), submaps(), Vec::new(), b"state".to_vec());
             assert_eq!(read_map(&path).unwrap(), content);
             write_map(&again, kind);
             assert_eq!(fs::read(&path).unwrap(), fs::read(&again).unwrap());

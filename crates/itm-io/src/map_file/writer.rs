@@ -6,8 +6,8 @@ use itm_core::voxel::BlockKey;
 use zstd::bulk::Compressor;
 
 use super::{
-    CHUNK_BYTES, CHUNK_HEADER_BYTES, MAGIC, MapHeader, SECTION_HEADER_BYTES, SectionHeader, SubmapPose, Tag,
-    VERSION, checksum_over, checksum_seed, content, name_of, submaps, tag,
+    CHUNK_BYTES, CHUNK_HEADER_BYTES, MAGIC, MapHeader, SECTION_HEADER_BYTES, SectionHeader, SubmapPose, Tag, VERSION,
+    checksum_over, checksum_seed, content, name_of, submaps, tag,
 };
 use crate::Error;
 use crate::whole_file::WholeFile;
@@ -99,8 +99,7 @@ impl MapWriter {
     /// # Panics
     /// Where they were written before.
     pub fn submaps(&mut self, submaps: &[SubmapPose]) -> Result<(), Error> {
-        submaps::check(submaps)
-            .map_err(|(expected, found)| content(&self.path, tag::SUBMAPS, expected, found))?;
+        submaps::check(submaps).map_err(|(expected, found)| content(&self.path, tag::SUBMAPS, expected, found))?;
         self.section(tag::SUBMAPS, |payload| submaps.iter().try_for_each(|s| payload.write(&submaps::encode(s))))
     }
 

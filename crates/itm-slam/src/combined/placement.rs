@@ -51,7 +51,7 @@ impl Placement {
 
     /// The world blocks with a voxel, or nearly so, in one of the submap's blocks: in the cubes of eight voxels whose lowest
     /// corner is in the block. Along an axis whose next block is missing (`ends`) there are no cubes beyond the last voxels,
-    /// only these. `None` where there are world blocks that have no number.
+    /// only these. `None` where it or they lie further out than blocks can be numbered, or next to that.
     pub(super) fn reached(&self, block: IVec3, ends: [bool; 3]) -> Option<impl Iterator<Item = IVec3>> {
         let side = f64::from(BLOCK_SIDE);
         let low = block.as_dvec3() * side;
@@ -59,8 +59,9 @@ impl Placement {
         let low = low - MARGIN;
         let world_from_submap = self.submap_from_world.transpose();
         let [first, last] = turned_box(world_from_submap, world_from_submap * -self.origin, low, high);
-        let reach = f64::from(i16::MAX) * side;
-        if !(first.min_element() >= -reach && last.max_element() <= reach) {
+        // As far as cells of voxels are found on either side: see `Cell::at`.
+        let reach = f64::from(i16::MAX - 1) * side;
+        if ![first, last, low, high].iter().all(|corner| corner.abs().max_element() <= reach) {
             return None;
         }
         let (first, last) = (block_of(first.ceil().as_ivec3()), block_of(last.floor().as_ivec3()));
@@ -135,7 +136,7 @@ mod tests {
     #[test]
     fn the_same_lattice_needs_no_neighbours() {
         let placement = Placement::new(0, &Se3::IDENTITY, f64::from(0.01_f32));
-        let block = IVec3::new(4, -7, 32_767);
+        let block = IVec3::new(4, -7, 32_765);
         assert_eq!(placement.reached(block, [false; 3]).unwrap().collect::<Vec<_>>(), [block]);
         assert_eq!(placement.blocks_for(block), [block, block]);
         // By whole voxels, if in numbers that are none.
@@ -150,7 +151,7 @@ mod tests {
         let far = Se3 { translation: DVec3::new(0.0, 1e300, 0.0), ..Se3::IDENTITY };
         assert!(Placement::new(0, &far, 0.01).reached(IVec3::ZERO, [true; 3]).is_none());
         let far = Se3 { translation: DVec3::new(0.0, 0.01 * 8.0, 0.0), ..Se3::IDENTITY };
-        let last = IVec3::new(0, 32_767, 0);
+        let last = IVec3::new(0, 32_765, 0);
         assert!(Placement::new(0, &far, 0.01).reached(last, [true; 3]).is_none());
     }
 }

@@ -135,9 +135,8 @@ fn write_voxel(kind: VoxelKind, sum: &Seen<'_>, max_weight: u16, block: &mut [u3
     match kind.distance {
         DistanceKind::I16 => block[at] = DistanceVoxel::new(distance, weight).0,
         DistanceKind::F32 => {
-            block[2 * at..2 * at + 2].copy_from_slice(&bytemuck::cast::<FloatVoxel, [u32; 2]>(FloatVoxel::new(
-                distance, weight,
-            )));
+            block[2 * at..2 * at + 2]
+                .copy_from_slice(&bytemuck::cast::<FloatVoxel, [u32; 2]>(FloatVoxel::new(distance, weight)));
         }
     }
     if sum.colour_weight > 0.0 {
