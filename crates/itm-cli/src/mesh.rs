@@ -88,10 +88,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     }
     maps::check_folder_of(out)?;
     let mut map = maps::open(&arguments.map, arguments.memory, arguments.quiet)?;
-    let device = maps::device(arguments.device.as_deref(), &map)?;
     if let Some(submap) = arguments.submap {
         maps::check_submap(&map, submap)?;
     }
+    let device = maps::device(arguments.device.as_deref(), &map)?;
     let started = Instant::now();
     let bar = console::bar(0, "blocks meshed", arguments.quiet);
     let options = MeshOptions { min_weight: arguments.min_weight, ..MeshOptions::default() };

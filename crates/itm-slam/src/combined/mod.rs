@@ -6,8 +6,8 @@ mod resample;
 use std::collections::{BTreeSet, HashMap, HashSet};
 
 use glam::IVec3;
+use itm_core::Se3;
 use itm_core::voxel::BlockKey;
-use itm_core::{PoseError, Se3};
 use itm_gpu::MapLayout;
 use rayon::prelude::*;
 
@@ -16,7 +16,7 @@ use self::resample::{Surroundings, combine};
 use crate::Error;
 use crate::source::{BlockSource, submaps};
 
-/// Blocks of submaps that are kept between calls, or as many as one call of [`BlockSource::read`]'s inner steps needs.
+/// Blocks of submaps that are kept, because the next blocks of the world will need them too; or as many as one block needs.
 const CACHED_BLOCKS: usize = 4096;
 /// World blocks that are made at a time.
 const AT_A_TIME: usize = 512;
@@ -38,7 +38,8 @@ const AT_A_TIME: usize = 512;
 ///
 /// # Memory
 /// About 40 bytes for each block of the submaps, 12 for each world block and submap that reaches it, and 4096 blocks of
-/// submaps on their way (or, where more submaps meet in one world block than those hold, the up to 27 of each).
+/// submaps that are kept, half as many on their way (or, where more submaps meet in one world block than those hold, the up
+/// to 27 of each).
 pub struct Combined<'a> {
     source: &'a mut dyn BlockSource,
     assembly: Assembly,
@@ -70,8 +71,8 @@ impl<'a> Combined<'a> {
         let keys = source.keys();
         let mut known = HashMap::new();
         for (submap, pose) in poses {
-            Se3::try_from_quaternion(pose.rotation, pose.translation)
-                .map_err(|reason: PoseError| Error::SubmapPose { submap: *submap, reason })?;
+            let pose = Se3::try_from_quaternion(pose.rotation, pose.translation)
+                .map_err(|reason| Error::SubmapPose { submap: *submap, reason })?;
             if known.insert(*submap, pose).is_some() {
                 return Err(Error::TwoSubmapPoses { submap: *submap });
             }
