@@ -1,15 +1,15 @@
 //! `itm info`.
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::fmt;
 use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
 use clap::Args;
 use glam::IVec3;
-use itm_core::voxel::{BLOCK_SIDE, DistanceKind, VoxelKind};
-use itm_core::{Calibration, Intrinsics, Trajectory};
-use itm_io::map_file::{MapReader, tag};
+use itm_core::voxel::{BLOCK_SIDE, BlockKey, DistanceKind, VoxelKind};
+use itm_core::{Calibration, Intrinsics, Se3, Trajectory};
+use itm_io::map_file::{MapReader, SubmapPose, tag};
 use itm_slam::Error;
 use serde::Serialize;
 
@@ -50,7 +50,8 @@ struct Info {
     host_blocks: u64,
     /// Different ones: a block may be on both sides.
     blocks: usize,
-    submaps: usize,
+    /// Those that have blocks or a pose, by their numbers.
+    submaps: Vec<Submap>,
     /// Bytes of all voxels.
     voxel_bytes: u64,
     /// Lower and upper corner of all blocks.
@@ -59,6 +60,14 @@ struct Info {
     trajectory_seconds: f64,
     trajectory_length_m: f64,
     sections: Vec<Section>,
+}
+
+#[derive(Serialize)]
+struct Submap {
+    submap: u16,
+    blocks: u64,
+    /// `null` where the file says where others are, but not this one.
+    world_from_submap: Option<Se3>,
 }
 
 #[derive(Serialize)]
@@ -87,6 +96,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     };
     let (device_blocks, host_blocks) = (count(tag::BLOCKS)?, count(tag::HOST_BLOCKS)?);
     let trajectory = if reader.has(tag::TRAJECTORY) { reader.trajectory()? } else { Trajectory::default() };
+    let poses_of_submaps = reader.submaps()?;
     let header = reader.header().clone();
     let block_m = f64::from(header.voxel_size_m) * f64::from(BLOCK_SIDE);
     let bounds = keys.iter().map(|k| (k.position, k.position)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
@@ -106,7 +116,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         device_blocks,
         host_blocks,
         blocks: keys.len(),
-        submaps: keys.iter().map(|key| key.submap).collect::<HashSet<_>>().len(),
+        submaps: submaps_of(&keys, &poses_of_submaps),
         voxel_bytes: keys.len() as u64 * header.voxel_kind.block_bytes(),
         bounds_m: bounds.map(|(first, last)| [corner(first), corner(last + 1)]),
         poses: poses.len(),
@@ -134,6 +144,18 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     Ok(0)
 }
 
+/// How many blocks each submap has, and where it lies.
+fn submaps_of(keys: &HashSet<BlockKey>, poses: &[SubmapPose]) -> Vec<Submap> {
+    let mut blocks: BTreeMap<u16, u64> = poses.iter().map(|pose| (pose.submap, 0)).collect();
+    keys.iter().for_each(|key| *blocks.entry(key.submap).or_default() += 1);
+    let pose = |submap| match poses {
+        [] => Some(Se3::IDENTITY),
+        poses => poses.iter().find(|pose| pose.submap == submap).map(|pose| pose.world_from_submap),
+    };
+    let submap = |(submap, blocks)| Submap { submap, blocks, world_from_submap: pose(submap) };
+    blocks.into_iter().map(submap).collect()
+}
+
 impl fmt::Display for Info {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mib = |bytes: u64| bytes as f64 / MIB as f64;
@@ -156,11 +178,23 @@ impl fmt::Display for Info {
         writeln!(f, "voxels      {size_mm} mm, truncated at {band_mm} mm: {distance}{colour}{confidence}")?;
         let Self { blocks, device_blocks, host_blocks, .. } = self;
         let in_memory = mib(self.voxel_bytes);
-        write!(
+        writeln!(
             f,
             "blocks      {blocks} ({device_blocks} from the device, {host_blocks} from the host): {in_memory:.1} MiB"
         )?;
-        writeln!(f, "{}", if self.submaps > 1 { format!(", in {} submaps", self.submaps) } else { String::new() })?;
+        if self.submaps.len() > 1 {
+            writeln!(f, "submaps     {}", self.submaps.len())?;
+            for Submap { submap, blocks, world_from_submap } in &self.submaps {
+                write!(f, "  {submap:<9} {blocks} blocks, ")?;
+                match world_from_submap {
+                    Some(pose) => {
+                        let ([x, y, z], degrees) = (pose.translation.to_array(), pose.angle().to_degrees());
+                        writeln!(f, "at {x:.2}, {y:.2}, {z:.2} m in the world, turned by {degrees:.1} degrees")?;
+                    }
+                    None => writeln!(f, "without a pose in the world")?,
+                }
+            }
+        }
         if let Some([[ax, ay, az], [bx, by, bz]]) = self.bounds_m {
             writeln!(f, "bounds      {ax:.2}, {ay:.2}, {az:.2} to {bx:.2}, {by:.2}, {bz:.2} m")?;
         }

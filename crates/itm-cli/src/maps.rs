@@ -25,6 +25,15 @@ pub(crate) fn open(path: &Path, memory_mib: u64, quiet: bool) -> Result<SavedMap
     Ok(map)
 }
 
+/// Checks that a map has blocks of a submap.
+pub(crate) fn check_submap(map: &SavedMap, submap: u16) -> Result<()> {
+    let submaps = map.submaps();
+    if !submaps.contains(&submap) {
+        bail!("the map '{}' has no submap {submap}; it has {submaps:?}", map.path().display());
+    }
+    Ok(())
+}
+
 /// The device asked for, or else the one of the run that made the map.
 pub(crate) fn device(asked: Option<&str>, map: &SavedMap) -> Result<Device> {
     let of_run = map.settings().ok().map(|settings| settings.device.adapter);

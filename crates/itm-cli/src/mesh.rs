@@ -19,6 +19,9 @@ use crate::run::UpArgument;
 /// Mesh a saved map
 ///
 /// The map is meshed part by part, so that the device needs room for a part only, and the host for the mesh and --memory.
+/// A map of several submaps is meshed as one: their signed distances' mean by weight, in the world's frame. With a name that
+/// ends in .itm, --fuse-submaps writes that as a map file of one submap.
+///
 /// Where several are asked for, --crop comes first, then --components, then --decimate.
 #[derive(Args)]
 #[command(after_help = "\
@@ -26,13 +29,21 @@ Examples:
   itm mesh room.itm -o room.ply
   itm mesh room.itm -o room.glb --components 1000 --decimate 0.1
   itm mesh room.itm -o table.obj --crop=-0.5,-0.2,0.8,0.7,0.6,1.9 --min-weight 3
-  itm mesh room.itm -o room.pcd --points --up z-up")]
+  itm mesh room.itm -o room.pcd --points --up z-up
+  itm mesh building.itm -o storey.ply --submap 2
+  itm mesh building.itm -o one.itm --fuse-submaps")]
 pub(crate) struct Arguments {
     /// The map file
     map: PathBuf,
-    /// File to write: .ply, .obj, .stl or .glb; with --points .ply, .pcd or .xyz
+    /// File to write: .ply, .obj, .stl or .glb; with --points .ply, .pcd or .xyz; with --fuse-submaps .itm as well
     #[arg(short, long)]
     out: PathBuf,
+    /// Mesh this submap alone, in its own frame
+    #[arg(long, value_name = "NUMBER")]
+    submap: Option<u16>,
+    /// Mesh all submaps as one, as without this; a file that ends in .itm becomes a map of one submap
+    #[arg(long, conflicts_with = "submap")]
+    fuse_submaps: bool,
     /// Only where voxels have been observed so often
     #[arg(long, value_name = "N", default_value_t = 1)]
     min_weight: u32,
@@ -67,6 +78,9 @@ pub(crate) struct Arguments {
 
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let out = &arguments.out;
+    if arguments.writes_map() {
+        return fuse(arguments);
+    }
     if arguments.points {
         point_file::check_name(out)?
     } else {
@@ -74,14 +88,21 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     }
     maps::check_folder_of(out)?;
     let mut map = maps::open(&arguments.map, arguments.memory, arguments.quiet)?;
+    if let Some(submap) = arguments.submap {
+        maps::check_submap(&map, submap)?;
+    }
     let device = maps::device(arguments.device.as_deref(), &map)?;
     let started = Instant::now();
     let bar = console::bar(0, "blocks meshed", arguments.quiet);
     let options = MeshOptions { min_weight: arguments.min_weight, ..MeshOptions::default() };
-    let mesh = map.mesh(&device, &options, &mut |done, all| {
+    let mut progress = |done, all| {
         bar.set_length(all);
         bar.set_position(done);
-    });
+    };
+    let mesh = match arguments.submap {
+        None => map.mesh(&device, &options, &mut progress),
+        Some(submap) => map.mesh_submap(submap, &device, &options, &mut progress),
+    };
     bar.finish_and_clear();
     let mut mesh = mesh?;
     let seconds = started.elapsed().as_secs_f64();
@@ -132,6 +153,50 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         };
         console::print(format_args!(
             "{shown}: {what}, {size:.1} MiB; {} blocks meshed in {seconds:.1} s into {found} triangles",
+            map.blocks()
+        ))?;
+    }
+    Ok(0)
+}
+
+impl Arguments {
+    /// Whether a map file is asked for.
+    fn writes_map(&self) -> bool {
+        self.fuse_submaps && self.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("itm"))
+    }
+}
+
+/// Writes the combined map as a map file of one submap.
+fn fuse(arguments: &Arguments) -> Result<u8> {
+    let out = &arguments.out;
+    let of_meshes = [
+        ("--crop", arguments.crop.is_some()),
+        ("--components", arguments.components.is_some()),
+        ("--decimate", arguments.decimate.is_some()),
+        ("--points", arguments.points),
+        ("--up", arguments.up.is_some()),
+        ("--min-weight", arguments.min_weight != 1),
+    ];
+    if let Some((option, _)) = of_meshes.into_iter().find(|(_, given)| *given) {
+        bail!("{option} is for meshes, and cannot go with the map file '{}'", out.display());
+    }
+    maps::check_folder_of(out)?;
+    let mut map = maps::open(&arguments.map, arguments.memory, arguments.quiet)?;
+    let submaps = map.submaps().len();
+    let started = Instant::now();
+    let bar = console::bar(0, "blocks fused", arguments.quiet);
+    let blocks = map.fuse_submaps(out, &mut |done, all| {
+        bar.set_length(all);
+        bar.set_position(done);
+    });
+    bar.finish_and_clear();
+    let (blocks, seconds) = (blocks?, started.elapsed().as_secs_f64());
+    if arguments.json {
+        console::print_json(&json!({ "file": out, "submaps": submaps, "blocks": blocks, "seconds": seconds }))?;
+    } else if !arguments.quiet {
+        console::print(format_args!(
+            "{}: {blocks} blocks fused of {} in {submaps} submaps in {seconds:.1} s",
+            out.display(),
             map.blocks()
         ))?;
     }

@@ -10,7 +10,7 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder as _};
 use itm_core::{Image, Intrinsics, Se3, Settings};
 use itm_io::mesh::UpAxis;
-use itm_slam::{BlockSource as _, MapViews, SavedMap, Scale, Shading, full_confidence};
+use itm_slam::{BlockSource, MapViews, SavedMap, Scale, Shading, full_confidence};
 use serde_json::json;
 
 use crate::{console, maps, pictures, synth};
@@ -27,7 +27,7 @@ const MAX_BLOCKS: u32 = 65_536;
 /// With --points, what each pose sees is written as a point cloud in the map's world: positions, normals, weights, and
 /// colours and confidences where the map has them.
 ///
-/// Only blocks in view go to the device.
+/// Only blocks in view go to the device. A map of several submaps is shown as one: their signed distances' mean by weight.
 #[derive(Args)]
 #[command(after_help = "\
 Examples:
@@ -70,9 +70,9 @@ pub(crate) struct Arguments {
     /// How far to see, in metres [default: as far as the map's settings say]
     #[arg(long, value_name = "METRES", value_parser = parse_depth)]
     max_depth: Option<f32>,
-    /// Which submap to show
-    #[arg(long, value_name = "NUMBER", default_value_t = 0)]
-    submap: u16,
+    /// Show this submap alone, in its own frame [default: all of them as one, in the world's]
+    #[arg(long, value_name = "NUMBER")]
+    submap: Option<u16>,
     /// Keep so much of the map in memory; the rest goes to a temporary file
     #[arg(long, value_name = "MIB", default_value_t = 1024)]
     memory: u64,
@@ -110,8 +110,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     if arguments.kind == Kind::Colour && !map.header().voxel_kind.colour {
         bail!("the map '{}' has no colours; try --kind grey", arguments.map.display());
     }
-    if !map.submaps().contains(&arguments.submap) {
-        bail!("the map '{}' has no submap {}; it has {:?}", arguments.map.display(), arguments.submap, map.submaps());
+    if let Some(submap) = arguments.submap {
+        maps::check_submap(&map, submap)?;
     }
     let camera = arguments.camera(given.unwrap_or(map.header().calibration.depth));
     let poses: Vec<Se3> = match (arguments.pose, &poses) {
@@ -132,7 +132,16 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         fs::create_dir_all(&arguments.out).with_context(|| format!("cannot make the output folder '{shown}'"))?;
     }
     let device = maps::device(arguments.device.as_deref(), &map)?;
-    let mut views = MapViews::new(&device, map.layout(), arguments.submap, MAX_BLOCKS)?;
+    // The combined map is one submap, with number 0.
+    let mut views = MapViews::new(&device, map.layout(), arguments.submap.unwrap_or(0), MAX_BLOCKS)?;
+    let mut combined;
+    let source: &mut dyn BlockSource = match arguments.submap {
+        None => {
+            combined = map.combined()?;
+            &mut combined
+        }
+        Some(_) => &mut map,
+    };
     let bar = console::bar(poses.len() as u64, "views", arguments.quiet);
     let (mut files, mut points) = (Vec::new(), 0);
     for (i, pose) in poses.iter().enumerate() {
@@ -141,7 +150,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
             Some(_) => arguments.out.clone(),
             None => arguments.out.join(format!("{:06}.{extension}", i * arguments.every as usize)),
         };
-        views.look(&mut map, &camera, pose, max_depth_m)?;
+        views.look(source, &camera, pose, max_depth_m)?;
         if arguments.points {
             let seen = views.points()?;
             points += seen.positions.len();

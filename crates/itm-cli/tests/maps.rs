@@ -9,7 +9,7 @@ use std::process::{Command, Output};
 use glam::{DQuat, DVec3, IVec3, Vec3};
 use itm_core::voxel::{BlockKey, ColourVoxel, DistanceKind, DistanceVoxel, VoxelKind};
 use itm_core::{Calibration, DepthConversion, Intrinsics, Se3, Settings, StampedPose, Timestamp, Trajectory};
-use itm_io::map_file::{MapHeader, MapWriter, tag};
+use itm_io::map_file::{MapHeader, MapWriter, SubmapPose, SubmapState, tag};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -24,6 +24,11 @@ fn distance(p: Vec3) -> f32 {
 
 /// Writes a map whose trajectory goes a little to the side, with so many of its blocks in it.
 fn write_map(path: &Path, all: bool) {
+    write_submaps(path, &[], |_, _| all);
+}
+
+/// Writes a map of submaps, or where none is given of the world's own, each of which has seen what `part` says (in the world).
+fn write_submaps(path: &Path, submaps: &[SubmapPose], part: impl Fn(u16, Vec3) -> bool) {
     let kind = VoxelKind { distance: DistanceKind::I16, colour: true, confidence: false };
     let mut settings = Settings::default();
     settings.map.voxel_size_m = VOXEL_M;
@@ -35,20 +40,36 @@ fn write_map(path: &Path, all: bool) {
     let mut writer = MapWriter::create(path, &header).unwrap();
     let blocks = |sink: &mut itm_io::map_file::BlockSink<'_, '_>| -> Result<(), itm_io::Error> {
         let side = || -6..20;
-        for position in side().flat_map(|z| side().flat_map(move |y| side().map(move |x| IVec3::new(x, y, z)))) {
-            let at = |i: i32| (position * 8 + IVec3::new(i & 7, i >> 3 & 7, i >> 6)).as_vec3() * VOXEL_M;
-            if !all || (0..512).all(|i| distance(at(i)).abs() > BAND_M) {
+        let positions = || side().flat_map(|z| side().flat_map(move |y| side().map(move |x| IVec3::new(x, y, z))));
+        let of_submap = |s: &SubmapPose| (s.submap, s.world_from_submap);
+        let poses = if submaps.is_empty() { vec![(0, Se3::IDENTITY)] } else { submaps.iter().map(of_submap).collect() };
+        for ((submap, pose), position) in poses.iter().flat_map(|pose| positions().map(move |p| (pose, p))) {
+            let voxel = |i: i32| (position * 8 + IVec3::new(i & 7, i >> 3 & 7, i >> 6)).as_vec3() * VOXEL_M;
+            let at = |i: i32| pose.transform_point(voxel(i).as_dvec3()).as_vec3();
+            if (0..512).all(|i| distance(at(i)).abs() > BAND_M || !part(*submap, at(i))) {
                 continue;
             }
-            let weight = |p: Vec3| if p.x < 0.0 { 4 } else { 16 };
+            let weight = |p: Vec3| match part(*submap, p) {
+                true => {
+                    if p.x < 0.0 {
+                        4
+                    } else {
+                        16
+                    }
+                }
+                false => 0,
+            };
             let words = (0..512).map(|i| DistanceVoxel::new(distance(at(i)) / BAND_M, weight(at(i))).0);
             let colour = |i| ColourVoxel::new(if at(i).y < 0.0 { [220, 60, 40] } else { [40, 90, 200] }, 9).0;
             let words: Vec<u32> = words.chain((0..512).map(colour)).collect();
-            sink.block(BlockKey { submap: 0, position }, &words)?;
+            sink.block(BlockKey { submap: *submap, position }, &words)?;
         }
         Ok(())
     };
     writer.blocks(tag::BLOCKS, blocks).unwrap();
+    if !submaps.is_empty() {
+        writer.submaps(submaps).unwrap();
+    }
     let pose = |i: i64| StampedPose {
         timestamp: Timestamp(i * 100_000_000),
         world_from_camera: Se3::new(DQuat::IDENTITY, DVec3::new(0.05 * i as f64, 0.0, 0.0)),
@@ -255,6 +276,15 @@ fn pictures_show_the_balls_where_they_are() {
     assert!(folder.path().join("more/000000.png").exists());
 }
 
+/// The positions in an XYZ file.
+fn points_in(path: &Path) -> Vec<Vec3> {
+    let point = |line: &str| {
+        let numbers: Vec<f32> = line.split_whitespace().take(3).map(|n| n.parse().unwrap()).collect();
+        Vec3::from_slice(&numbers)
+    };
+    fs::read_to_string(path).unwrap().lines().filter(|line| !line.starts_with('#')).map(point).collect()
+}
+
 #[test]
 fn the_visible_surface_is_written_as_points() {
     if skipped() {
@@ -264,15 +294,7 @@ fn the_visible_surface_is_written_as_points() {
     let seen = ["render", "room.itm", "--points", "--pose", "0,0,0,0,0,0,1"];
     let answer = printed(folder.path(), &[&seen[..], &["-o", "seen.xyz", "--json"]].concat());
     let answer: Value = serde_json::from_str(&answer).unwrap();
-    let text = fs::read_to_string(folder.path().join("seen.xyz")).unwrap();
-    let points: Vec<Vec3> = text
-        .lines()
-        .filter(|line| !line.starts_with('#'))
-        .map(|line| {
-            let numbers: Vec<f32> = line.split_whitespace().take(3).map(|n| n.parse().unwrap()).collect();
-            Vec3::from_slice(&numbers)
-        })
-        .collect();
+    let points = points_in(&folder.path().join("seen.xyz"));
     assert!(points.len() > 2_000 && answer["points"] == points.len(), "{answer} but {}", points.len());
     // The last step along a ray is as long as the distance from the surface: rays that graze a ball end short of it.
     let mut off: Vec<f32> = points.iter().map(|p| distance(*p).abs() / VOXEL_M).collect();
@@ -283,4 +305,73 @@ fn the_visible_surface_is_written_as_points() {
     refused(folder.path(), &[&seen[..], &["-o", "seen.png"]].concat(), 1, &["seen.png", ".ply"]);
     printed(folder.path(), &["render", "room.itm", "--points", "-o", "clouds", "--every", "4"]);
     assert!(folder.path().join("clouds/000004.ply").exists());
+}
+
+#[test]
+fn submaps_are_one_map_in_the_world() {
+    if skipped() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let turned = Se3::new(DQuat::from_rotation_y(-20_f64.to_radians()), DVec3::new(0.035, 0.0125, 0.0));
+    let pose = |submap, world_from_submap, state| SubmapPose { submap, world_from_submap, state };
+    let submaps = [pose(0, Se3::IDENTITY, SubmapState::Active), pose(4, turned, SubmapState::Primary)];
+    // Both have seen the middle of the larger ball.
+    let part = |submap, p: Vec3| if submap == 0 { p.x < 0.15 } else { p.x > -0.15 };
+    write_submaps(&folder.path().join("room.itm"), &submaps, part);
+    let info: Value = serde_json::from_str(&printed(folder.path(), &["info", "room.itm", "--json"])).unwrap();
+    let submap = |i: usize| &info["submaps"][i];
+    assert_eq!((&submap(1)["submap"], submap(2)), (&4.into(), &Value::Null));
+    assert_eq!(submap(1)["world_from_submap"]["translation"], serde_json::json!([0.035, 0.0125, 0.0]));
+    let blocks = |i| submap(i)["blocks"].as_u64().unwrap();
+    assert!(blocks(0) > 50 && info["blocks"] == blocks(0) + blocks(1));
+    let text = printed(folder.path(), &["info", "room.itm"]);
+    for words in ["submaps     2", "at 0.04, 0.01, 0.00 m in the world, turned by 20.0 degrees", "SUBM"] {
+        assert!(text.contains(words), "'{words}' is not in: {text}");
+    }
+
+    let mesh = |map: &str, name: &str, more: &[&str]| {
+        printed(folder.path(), &[&["mesh", map, "-o", name, "--memory", "0"], more].concat());
+        counts(&folder.path().join(name))
+    };
+    let (vertices, triangles) = mesh("room.itm", "all.ply", &[]);
+    assert_eq!(2 * vertices, triangles + 8, "two closed surfaces");
+    assert_eq!(mesh("room.itm", "fused.ply", &["--fuse-submaps"]), (vertices, triangles));
+    mesh("room.itm", "all.xyz", &["--points"]);
+    let most = |name: &str, pose: &Se3| {
+        let off = |p: Vec3| distance(pose.transform_point(p.as_dvec3()).as_vec3()).abs() / VOXEL_M;
+        let points = points_in(&folder.path().join(name));
+        (points.len(), points.into_iter().map(off).fold(0.0, f32::max))
+    };
+    let (count, off) = most("all.xyz", &Se3::IDENTITY);
+    assert!(count == vertices && off < 0.1, "{count} points, {off} voxels off");
+    // One of them alone, where its own frame has it.
+    mesh("room.itm", "one.xyz", &["--points", "--submap", "4"]);
+    let (count, off) = most("one.xyz", &turned);
+    assert!(count < vertices && count > vertices / 3 && off < 0.1, "{count} points, {off} voxels off");
+
+    let said = printed(folder.path(), &["mesh", "room.itm", "-o", "one.itm", "--fuse-submaps"]);
+    assert!(said.contains("in 2 submaps"), "{said}");
+    assert_eq!(mesh("one.itm", "one.ply", &[]), (vertices, triangles));
+    let one: Value = serde_json::from_str(&printed(folder.path(), &["info", "one.itm", "--json"])).unwrap();
+    assert_eq!((&one["submaps"][1], &one["poses"]), (&Value::Null, &5.into()));
+
+    let depth = |name: &str, more: &[&str]| {
+        printed(folder.path(), &[&["render", "room.itm", "-o", name, "--kind", "depth"], more].concat());
+        let name = name.replace(".png", "-mm.png");
+        image::open(folder.path().join(name)).unwrap().to_luma16()[(79, 59)].0[0]
+    };
+    let found = depth("world.png", &["--pose", "0,0,0,0,0,0,1"]);
+    assert!(found.abs_diff(700) <= 2, "{found}");
+    let camera = turned.inverse();
+    let (t, q) = (camera.translation, camera.rotation);
+    let pose = format!("--pose={},{},{},{},{},{},{}", t.x, t.y, t.z, q.x, q.y, q.z, q.w);
+    let found = depth("own.png", &["--submap", "4", &pose]);
+    assert!(found.abs_diff(700) <= 2, "{found}");
+
+    refused(folder.path(), &["mesh", "room.itm", "-o", "no.ply", "--submap", "2"], 1, &["no submap 2", "[0, 4]"]);
+    refused(folder.path(), &["render", "room.itm", "-o", "no", "--submap", "2"], 1, &["no submap 2", "[0, 4]"]);
+    refused(folder.path(), &["mesh", "room.itm", "-o", "no.ply", "--submap", "4", "--fuse-submaps"], 2, &["--submap"]);
+    let cropped = ["mesh", "room.itm", "-o", "no.itm", "--fuse-submaps", "--crop=0,0,0,1,1,1"];
+    refused(folder.path(), &cropped, 1, &["--crop", "no.itm"]);
 }

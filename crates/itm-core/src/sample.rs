@@ -6,7 +6,9 @@
 use bytemuck::cast_slice;
 use glam::{DVec3, IVec3, Vec3};
 
-use crate::voxel::{BLOCK_SIDE, BLOCK_VOXELS, DistanceKind, DistanceVoxel, FloatVoxel, VoxelKind, index_in_block};
+use crate::voxel::{
+    BLOCK_SIDE, BLOCK_VOXELS, ColourVoxel, DistanceKind, DistanceVoxel, FloatVoxel, VoxelKind, index_in_block,
+};
 
 /// The distance of a point from the nearest surface, as a map knows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,7 +33,11 @@ impl Cell {
     /// The cell around a point (world frame, metres); `None` where the point is no number, or lies further from the origin
     /// than blocks can be numbered.
     pub fn around(point: Vec3, voxel_size_m: f32) -> Option<Self> {
-        let position = point.as_dvec3() / f64::from(voxel_size_m);
+        Self::at(point.as_dvec3() / f64::from(voxel_size_m))
+    }
+
+    /// The same for a position in voxels.
+    pub fn at(position: DVec3) -> Option<Self> {
         // The numbers of blocks have 16 bits; one voxel is left for rounding on either side.
         let reach = f64::from(i16::MAX) * f64::from(BLOCK_SIDE) - 1.0;
         let base = position.floor();
@@ -45,6 +51,15 @@ impl Cell {
         std::array::from_fn(|c| {
             let c = c as i32;
             self.base + IVec3::new(c & 1, (c >> 1) & 1, c >> 2)
+        })
+    }
+
+    /// How much each of its voxels counts in trilinear interpolation: from 0 to 1, 1 together.
+    pub fn shares(&self) -> [f64; 8] {
+        let (high, low) = (self.fraction, DVec3::ONE - self.fraction);
+        std::array::from_fn(|c| {
+            let along = |axis: usize| if c >> axis & 1 == 1 { high[axis] } else { low[axis] };
+            along(0) * along(1) * along(2)
         })
     }
 
@@ -104,6 +119,25 @@ pub fn distance_in_block(kind: VoxelKind, words: &[u32], voxel: IVec3) -> (f32, 
     }
 }
 
+/// Colour of a voxel by its place in the whole map, from the words of the block that it lies in; one that was never seen where
+/// the kind has no colours.
+///
+/// # Panics
+/// Where the block is shorter than its kind says.
+pub fn colour_in_block(kind: VoxelKind, words: &[u32], voxel: IVec3) -> ColourVoxel {
+    let at = kind.colours_at() + index_in_block(voxel.rem_euclid(IVec3::splat(BLOCK_SIDE)));
+    if kind.colour { ColourVoxel(words[at]) } else { ColourVoxel::default() }
+}
+
+/// Confidence of a voxel by its place in the whole map, from the words of the block that it lies in; 0 where the kind has none.
+///
+/// # Panics
+/// Where the block is shorter than its kind says.
+pub fn confidence_in_block(kind: VoxelKind, words: &[u32], voxel: IVec3) -> f32 {
+    let at = kind.confidences_at() + index_in_block(voxel.rem_euclid(IVec3::splat(BLOCK_SIDE)));
+    if kind.confidence { f32::from_bits(words[at]) } else { 0.0 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -124,6 +158,8 @@ mod tests {
             let voxels = cell.voxels().map(|v| (at((v - cell.base).as_dvec3()) as f32, 2));
             let found = cell.interpolate(voxels, voxel, band).unwrap();
             let f = cell.fraction;
+            let shared: f64 = cell.shares().iter().zip(voxels).map(|(share, (d, _))| share * f64::from(d)).sum();
+            prop_assert!((f64::from(found.distance_m) - shared * f64::from(band)).abs() < 1e-8);
             prop_assert!((f64::from(found.distance_m) - at(f) * f64::from(band)).abs() < 1e-8);
             let h = 1e-4;
             for (axis, unit) in DVec3::AXES.into_iter().enumerate() {

@@ -83,6 +83,16 @@ impl VoxelKind {
         self.distance_words() + self.colour as usize + self.confidence as usize
     }
 
+    /// Where in a block the plane of colours begins, in words.
+    pub const fn colours_at(self) -> usize {
+        self.distance_words() * BLOCK_VOXELS
+    }
+
+    /// Where in a block the plane of confidences begins, in words.
+    pub const fn confidences_at(self) -> usize {
+        (self.distance_words() + self.colour as usize) * BLOCK_VOXELS
+    }
+
     /// Words of a block: its planes one after the other, distances, colours, confidences.
     pub const fn block_words(self) -> usize {
         self.words() * BLOCK_VOXELS

@@ -50,6 +50,34 @@ pub enum Error {
         /// The file.
         path: std::path::PathBuf,
     },
+    /// Blocks of a submap whose place in the world is not known.
+    #[error("there are blocks of submap {submap}, but no pose says where it lies in the world")]
+    NoSubmapPose {
+        /// Its number.
+        submap: u16,
+    },
+    /// Two poses of one submap.
+    #[error("submap {submap} has two poses in the world, where one is needed")]
+    TwoSubmapPoses {
+        /// Its number.
+        submap: u16,
+    },
+    /// A pose of a submap that is none.
+    #[error("the pose of submap {submap} in the world is none: {reason}")]
+    SubmapPose {
+        /// Its number.
+        submap: u16,
+        /// What is wrong with it.
+        reason: itm_core::PoseError,
+    },
+    /// A submap that its pose puts where no block has a number.
+    #[error(
+        "submap {submap} lies further from the world's origin than blocks can be numbered: 16 bits along each axis"
+    )]
+    SubmapOutOfReach {
+        /// Its number.
+        submap: u16,
+    },
     /// Nothing is to be fused, and there is no map to track against.
     #[error("map.fuse is off, so that nothing can be mapped, but there is no map to start in (--map)")]
     NothingToTrackAgainst,

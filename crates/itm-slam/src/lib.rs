@@ -24,6 +24,7 @@
 mod caster;
 mod chunked_mesh;
 mod chunks;
+mod combined;
 mod decimate;
 mod error;
 mod frame_result;
@@ -43,6 +44,7 @@ pub mod tracking;
 mod views;
 
 pub use chunked_mesh::{MeshOptions, mesh_blocks, mesh_in_chunks, with_neighbours};
+pub use combined::Combined;
 pub use decimate::{DecimateError, decimate};
 pub use error::Error;
 pub use frame_result::{FrameReport, FrameResult, FrameStatus, Notice};

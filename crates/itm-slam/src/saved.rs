@@ -5,15 +5,16 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use itm_core::block::merge_blocks;
 use itm_core::voxel::{BLOCK_SIDE, BlockKey};
-use itm_core::{Mesh, Settings, Trajectory};
+use itm_core::{Mesh, Se3, Settings, Trajectory};
 use itm_gpu::{Device, MapLayout};
 use itm_io::block_store::{BlockStore, Placed, StoreFile};
-use itm_io::map_file::{MapHeader, MapReader, tag};
+use itm_io::map_file::{MapHeader, MapReader, MapWriter, SubmapPose, tag};
 
 use crate::Error;
-use crate::chunked_mesh::{MeshOptions, mesh_in_chunks};
+use crate::chunked_mesh::{MeshOptions, mesh_blocks, mesh_in_chunks};
+use crate::combined::Combined;
 use crate::saving::{LEFT, settings_of};
-use crate::source::{BlockSource, submaps};
+use crate::source::{AT_A_TIME, BlockSource, submaps};
 use crate::views::full_weight;
 
 /// The map in a map file, its blocks in the host's memory up to a budget and in a temporary file beyond it.
@@ -31,6 +32,9 @@ pub struct SavedMap {
     path: PathBuf,
     header: MapHeader,
     trajectory: Trajectory,
+    /// Empty where the file says nothing of submaps.
+    poses: Vec<SubmapPose>,
+    max_weight: u16,
     store: BlockStore,
 }
 
@@ -81,7 +85,8 @@ impl SavedMap {
         }
         progress(all, all);
         let trajectory = if reader.has(tag::TRAJECTORY) { reader.trajectory()? } else { Trajectory::default() };
-        Ok(Self { path: path.to_path_buf(), header, trajectory, store })
+        let poses = reader.submaps()?;
+        Ok(Self { path: path.to_path_buf(), header, trajectory, poses, max_weight, store })
     }
 
     /// The file that it was read from.
@@ -125,17 +130,93 @@ impl SavedMap {
         Some([first.as_dvec3() * block_m, (last + 1).as_dvec3() * block_m])
     }
 
-    /// The surface of the whole map: see [`mesh_in_chunks`].
+    /// Where each submap that has blocks lies in the world, in the order of their numbers. Where the file says nothing of
+    /// submaps, each submap's frame is the world's.
     ///
     /// # Errors
-    /// As [`mesh_in_chunks`].
+    /// [`Error::NoSubmapPose`] where it says nothing of one of them.
+    pub fn submap_poses(&self) -> Result<Vec<(u16, Se3)>, Error> {
+        let pose = |submap| {
+            let known = self.poses.iter().find(|pose| pose.submap == submap).map(|pose| pose.world_from_submap);
+            let pose = known.or(self.poses.is_empty().then_some(Se3::IDENTITY));
+            Ok((submap, pose.ok_or(Error::NoSubmapPose { submap })?))
+        };
+        self.submaps().into_iter().map(pose).collect()
+    }
+
+    /// All submaps as one map, in the world's frame, as blocks of submap 0. A map of one submap in the world's frame comes out
+    /// as it is.
+    ///
+    /// # Errors
+    /// As [`Combined::new`].
+    pub fn combined(&mut self) -> Result<Combined<'_>, Error> {
+        let (poses, max_weight) = (self.submap_poses()?, self.max_weight);
+        Combined::new(self, &poses, max_weight)
+    }
+
+    /// The surface of the whole map, its submaps [`combined`](Self::combined): see [`mesh_in_chunks`].
+    ///
+    /// # Errors
+    /// As [`Combined::new`] and [`mesh_in_chunks`].
     pub fn mesh(
         &mut self,
         device: &Device,
         options: &MeshOptions,
         progress: &mut dyn FnMut(u64, u64),
     ) -> Result<Mesh, Error> {
-        mesh_in_chunks(device, self, options, progress)
+        mesh_in_chunks(device, &mut self.combined()?, options, progress)
+    }
+
+    /// The surface of one submap, in its own frame: see [`mesh_blocks`].
+    ///
+    /// # Errors
+    /// As [`mesh_in_chunks`].
+    pub fn mesh_submap(
+        &mut self,
+        submap: u16,
+        device: &Device,
+        options: &MeshOptions,
+        progress: &mut dyn FnMut(u64, u64),
+    ) -> Result<Mesh, Error> {
+        let own: Vec<BlockKey> = self.store.keys().filter(|key| key.submap == submap).collect();
+        mesh_blocks(device, self, &own, options, progress)
+    }
+
+    /// Writes the [`combined`](Self::combined) map as a map file of one submap, with the same header and trajectory, and
+    /// returns its number of blocks: those in which something was seen. `progress` is told how many of how many blocks are
+    /// done.
+    ///
+    /// # Errors
+    /// As [`Combined::new`], and where the file cannot be written: one of that name is as it was then.
+    pub fn fuse_submaps(&mut self, path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<u64, Error> {
+        let (mut header, trajectory) = (self.header.clone(), self.trajectory.clone());
+        let kind = header.voxel_kind;
+        let mut combined = self.combined()?;
+        let keys = combined.keys();
+        header.counts.device_blocks = keys.len() as u64;
+        header.counts.host_blocks = 0;
+        let mut writer = MapWriter::create(path, &header)?;
+        let mut written = 0;
+        writer.blocks::<Error>(tag::BLOCKS, |sink| {
+            let mut words = vec![0; AT_A_TIME * kind.block_words()];
+            for (i, some) in keys.chunks(AT_A_TIME).enumerate() {
+                progress((i * AT_A_TIME) as u64, keys.len() as u64);
+                let words = &mut words[..some.len() * kind.block_words()];
+                combined.read(some, words)?;
+                for (key, words) in some.iter().zip(words.chunks_exact(kind.block_words())) {
+                    // What was never seen is zero in all planes.
+                    if words.iter().any(|word| *word != 0) {
+                        sink.block(*key, words)?;
+                        written += 1;
+                    }
+                }
+            }
+            progress(keys.len() as u64, keys.len() as u64);
+            Ok(())
+        })?;
+        writer.trajectory(&trajectory)?;
+        writer.finish()?;
+        Ok(written)
     }
 }
 

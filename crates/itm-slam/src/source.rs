@@ -23,8 +23,8 @@ pub trait BlockSource {
     fn read(&mut self, keys: &[BlockKey], words: &mut [u32]) -> Result<(), Error>;
 }
 
-/// Blocks that are read and uploaded at a time.
-const AT_A_TIME: usize = 4096;
+/// Blocks that are read and passed on at a time.
+pub(crate) const AT_A_TIME: usize = 4096;
 
 /// Puts blocks of a source into a map on the device, in their order, as blocks of the map's own submap. None may be there.
 pub(crate) fn upload(source: &mut dyn BlockSource, keys: &[BlockKey], map: &mut BlockMap) -> Result<(), Error> {

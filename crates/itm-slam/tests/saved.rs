@@ -12,7 +12,7 @@ use itm_io::map_file::{MapHeader, MapWriter, tag};
 use itm_slam::voxel::{BlockKey, ColourVoxel, DistanceVoxel, VoxelKind};
 use itm_slam::{
     BlockSource, Calibration, DepthConversion, Device, Intrinsics, MapViews, Mesh, MeshOptions, SavedMap, Scale, Se3,
-    Settings, Shading, StampedPose, Timestamp, Trajectory,
+    Settings, Shading, StampedPose, Timestamp, Trajectory, mesh_in_chunks,
 };
 
 const VOXEL_M: f32 = 1.0 / 128.0;
@@ -173,7 +173,7 @@ fn submaps_are_meshed_each_on_its_own() {
     let (a, b) = (sphere(0, Vec3::splat(0.2), 12.0), sphere(7, Vec3::splat(6.0), 15.0));
     let mut map = open(&[a.clone(), b.clone()].concat(), 1 << 30);
     assert_eq!(map.submaps(), [0, 7]);
-    let mesh = map.mesh(&device, &MeshOptions::default(), &mut |_, _| ()).unwrap();
+    let mesh = mesh_in_chunks(&device, &mut map, &MeshOptions::default(), &mut |_, _| ()).unwrap();
     let alone = |blocks: &Blocks| {
         let mesh = open(blocks, 0).mesh(&device, &MeshOptions::default(), &mut |_, _| ()).unwrap();
         canonical(&mesh)
@@ -181,6 +181,8 @@ fn submaps_are_meshed_each_on_its_own() {
     let mut expected = [alone(&a), alone(&b)].concat();
     expected.sort_unstable();
     assert!(mesh.is_watertight() && canonical(&mesh) == expected);
+    let of_b = map.mesh_submap(7, &device, &MeshOptions::default(), &mut |_, _| ()).unwrap();
+    assert!(canonical(&of_b) == alone(&b));
     // Seen each on its own, too.
     let seen = |map: &mut SavedMap, submap| {
         let mut views = MapViews::new(&device, map.layout(), submap, 1000).unwrap();

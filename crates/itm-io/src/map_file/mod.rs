@@ -26,6 +26,7 @@
 //! ```
 
 mod reader;
+mod submaps;
 #[cfg(test)]
 mod tests;
 mod writer;
@@ -38,6 +39,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 pub use reader::{MapReader, SectionInfo};
+pub use submaps::{SubmapPose, SubmapState};
 pub use writer::{BlockSink, MapWriter};
 
 /// What a section is called: four printable ASCII characters.
@@ -55,6 +57,8 @@ pub mod tag {
     pub const HOST_BLOCKS: Tag = *b"HOST";
     /// The trajectory.
     pub const TRAJECTORY: Tag = *b"TRAJ";
+    /// Where the submaps lie in the world.
+    pub const SUBMAPS: Tag = *b"SUBM";
     /// The end of the file. Written by [`super::MapWriter::finish`].
     pub const END: Tag = *b"END ";
 }
@@ -72,7 +76,7 @@ const SECTION_HEADER_BYTES: usize = 32;
 const CHUNK_HEADER_BYTES: usize = 12;
 /// Bytes of a chunk at most, before compression.
 const CHUNK_BYTES: usize = 1 << 20;
-/// Bytes of a trajectory's pose.
+/// Bytes of a trajectory's or a submap's pose, with the eight before it that say what it is the pose of.
 const POSE_BYTES: usize = 64;
 
 /// What is to be known of a map before its blocks are read.

@@ -2,14 +2,13 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use glam::{DQuat, DVec3};
 use itm_core::voxel::BlockKey;
-use itm_core::{Se3, StampedPose, Timestamp, Trajectory};
+use itm_core::{StampedPose, Timestamp, Trajectory};
 use zstd::bulk::Decompressor;
 
 use super::{
     CHUNK_BYTES, CHUNK_HEADER_BYTES, MAGIC, MapHeader, POSE_BYTES, PREFIX_BYTES, SECTION_HEADER_BYTES, SectionHeader,
-    Tag, VERSION, checksum_over, checksum_seed, content, le, name_of, tag, writer,
+    SubmapPose, Tag, VERSION, checksum_over, checksum_seed, content, le, name_of, submaps, tag, writer,
 };
 use crate::Error;
 
@@ -140,23 +139,40 @@ impl MapReader {
     /// Where there is none ([`Error::NoMapSection`]), its section is damaged, or what it holds are no poses
     /// ([`Error::MapContent`]).
     pub fn trajectory(&mut self) -> Result<Trajectory, Error> {
-        let bytes = self.bytes(tag::TRAJECTORY)?;
-        let wrong = |expected: String, found| content(&self.path, tag::TRAJECTORY, expected, found);
-        let (poses, rest) = bytes.as_chunks::<POSE_BYTES>();
-        if !rest.is_empty() {
-            return Err(wrong(format!("poses of {POSE_BYTES} bytes"), format!("{} bytes", bytes.len())));
-        }
+        let poses = self.poses(tag::TRAJECTORY)?;
         let pose = |(i, bytes): (usize, &[u8; POSE_BYTES])| {
-            let number = |at: usize| le(&bytes[8 * at..][..8], f64::from_le_bytes);
-            let translation = DVec3::new(number(1), number(2), number(3));
-            let rotation = DQuat::from_xyzw(number(4), number(5), number(6), number(7));
-            // Only asked whether it is one: normalised once more it would not be the same to the bit.
-            Se3::try_from_quaternion(rotation, translation)
-                .map_err(|reason| wrong("poses".into(), format!("that pose {i} is none: {reason}")))?;
-            let timestamp = Timestamp(le(&bytes[..8], i64::from_le_bytes));
-            Ok(StampedPose { timestamp, world_from_camera: Se3 { rotation, translation } })
+            let world_from_camera = submaps::checked_pose_in(bytes).map_err(|reason| {
+                content(&self.path, tag::TRAJECTORY, "poses".into(), format!("that pose {i} is none: {reason}"))
+            })?;
+            Ok(StampedPose { timestamp: Timestamp(le(&bytes[..8], i64::from_le_bytes)), world_from_camera })
         };
         poses.iter().enumerate().map(pose).collect()
+    }
+
+    /// Where the submaps lie, in the file's order and to the bit; none where the file does not say, and then all of them are at
+    /// the world's origin.
+    ///
+    /// # Errors
+    /// Where the section is damaged, a pose is none, a submap has two, or its state is not known ([`Error::MapContent`]).
+    pub fn submaps(&mut self) -> Result<Vec<SubmapPose>, Error> {
+        if !self.has(tag::SUBMAPS) {
+            return Ok(Vec::new());
+        }
+        let poses = self.poses(tag::SUBMAPS)?;
+        let submaps = poses.iter().map(submaps::decode).collect::<Result<Vec<_>, _>>();
+        let checked = submaps.and_then(|submaps| submaps::check(&submaps).map(|()| submaps));
+        checked.map_err(|(expected, found)| content(&self.path, tag::SUBMAPS, expected, found))
+    }
+
+    /// The content of a section of poses.
+    fn poses(&mut self, tag: Tag) -> Result<Vec<[u8; POSE_BYTES]>, Error> {
+        let bytes = self.bytes(tag)?;
+        let (poses, rest) = bytes.as_chunks::<POSE_BYTES>();
+        if !rest.is_empty() {
+            let expected = format!("poses of {POSE_BYTES} bytes");
+            return Err(content(&self.path, tag, expected, format!("{} bytes", bytes.len())));
+        }
+        Ok(poses.to_vec())
     }
 
     /// The content of a section as a whole.

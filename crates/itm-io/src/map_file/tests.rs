@@ -33,6 +33,15 @@ fn trajectory() -> Trajectory {
     (-3..40).map(pose).collect()
 }
 
+fn submaps() -> Vec<SubmapPose> {
+    let pose = |i: u16| SubmapPose {
+        submap: 7 * i,
+        world_from_submap: trajectory().poses()[usize::from(i)].world_from_camera,
+        state: [SubmapState::Passive, SubmapState::Active, SubmapState::Primary][usize::from(i)],
+    };
+    (0..3).map(pose).collect()
+}
+
 /// Blocks of words from few values with noise, in part.
 fn records(kind: VoxelKind, number: i32) -> Vec<Record> {
     let words = kind.block_words() as u32;
@@ -71,6 +80,7 @@ fn write_map(path: &Path, kind: VoxelKind) {
     write_blocks(&mut writer, tag::BLOCKS, &records(kind, 4));
     write_blocks(&mut writer, tag::HOST_BLOCKS, &records(kind, 1));
     writer.trajectory(&trajectory()).unwrap();
+    writer.submaps(&submaps()).unwrap();
     writer.bytes(*b"none", &[]).unwrap();
     writer.bytes(*b"mine", b"state").unwrap();
     writer.finish().unwrap();
@@ -78,7 +88,7 @@ fn write_map(path: &Path, kind: VoxelKind) {
 
 /// All that is in a file.
 #[derive(Debug, PartialEq)]
-struct Content(MapHeader, Vec<Record>, Vec<Record>, Trajectory, Vec<u8>, Vec<u8>);
+struct Content(MapHeader, Vec<Record>, Vec<Record>, Trajectory, Vec<SubmapPose>, Vec<u8>, Vec<u8>);
 
 fn read_map(path: &Path) -> Result<Content, Error> {
     let mut reader = MapReader::open(path)?;
@@ -87,9 +97,10 @@ fn read_map(path: &Path) -> Result<Content, Error> {
     let host = read_blocks(&mut reader, tag::HOST_BLOCKS)?;
     let trajectory = reader.trajectory()?;
     let (none, mine) = (reader.bytes(*b"none")?, reader.bytes(*b"mine")?);
+    let submaps = reader.submaps()?;
     // Whoever reads all of it has checked all of it.
     reader.verify().unwrap_or_else(|e| panic!("{e}"));
-    Ok(Content(header, blocks, host, trajectory, none, mine))
+    Ok(Content(header, blocks, host, trajectory, submaps, none, mine))
 }
 
 fn in_folder(folder: &tempfile::TempDir) -> PathBuf {
@@ -104,8 +115,8 @@ fn what_is_written_reads_back_and_again_to_the_same_bytes() {
         for (colour, confidence) in [(false, false), (true, false), (true, true)] {
             let kind = VoxelKind { distance, colour, confidence };
             write_map(&path, kind);
-            let content =
-                Content(header(kind), records(kind, 4), records(kind, 1), trajectory(), Vec::new(), b"state".to_vec());
+            let (blocks, host) = (records(kind, 4), records(kind, 1));
+            let content = Content(header(kind), blocks, host, trajectory(), submaps(), Vec::new(), b"state".to_vec());
             assert_eq!(read_map(&path).unwrap(), content);
             write_map(&again, kind);
             assert_eq!(fs::read(&path).unwrap(), fs::read(&again).unwrap());
@@ -335,4 +346,48 @@ fn a_full_disk_leaves_the_old_file_and_nothing_else() {
         assert_eq!(fs::read(&path).unwrap(), old);
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
+}
+
+#[test]
+fn submaps_that_cannot_be_meant_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = in_folder(&folder);
+    let create = || MapWriter::create(&path, &header(VoxelKind::default())).unwrap();
+    let read = |bytes: &[u8]| {
+        let mut writer = create();
+        writer.bytes(tag::SUBMAPS, bytes).unwrap();
+        writer.finish().unwrap();
+        MapReader::open(&path).unwrap().submaps()
+    };
+    let refused = |submaps: Vec<SubmapPose>, words: &str| {
+        let written = create().submaps(&submaps).unwrap_err().to_string();
+        let found = read(&submaps.iter().flat_map(submaps::encode).collect::<Vec<_>>()).unwrap_err();
+        assert!(matches!(found, Error::MapContent { .. }), "{found}");
+        for error in [written, found.to_string()] {
+            assert!(error.contains("section SUBM") && error.contains(words), "{error}");
+        }
+    };
+    let mut twice = submaps();
+    twice[2].submap = 7;
+    refused(twice, "two of submap 7");
+    let mut endless = submaps();
+    endless[1].world_from_submap.translation.y = f64::NAN;
+    refused(endless, "submap 7 is none");
+    let mut stretched = submaps();
+    stretched[2].world_from_submap.rotation *= 1.1;
+    refused(stretched, "submap 14 is none");
+
+    let whole: Vec<u8> = submaps().iter().flat_map(submaps::encode).collect();
+    assert_eq!(read(&whole).unwrap(), submaps());
+    assert!(read(&whole[..100]).unwrap_err().to_string().contains("poses of 64 bytes, found 100 bytes"));
+    let with = |at: usize, byte: u8| {
+        let mut bytes = whole.clone();
+        bytes[at] = byte;
+        read(&bytes).unwrap_err().to_string()
+    };
+    assert!(with(2, 1).contains("number 65536"));
+    assert!(with(64 + 4, 3).contains("state 3 of submap 7"));
+
+    create().finish().unwrap();
+    assert_eq!(MapReader::open(&path).unwrap().submaps().unwrap(), []);
 }

@@ -6,8 +6,8 @@ use itm_core::voxel::BlockKey;
 use zstd::bulk::Compressor;
 
 use super::{
-    CHUNK_BYTES, CHUNK_HEADER_BYTES, MAGIC, MapHeader, SECTION_HEADER_BYTES, SectionHeader, Tag, VERSION,
-    checksum_over, checksum_seed, content, name_of, tag,
+    CHUNK_BYTES, CHUNK_HEADER_BYTES, MAGIC, MapHeader, SECTION_HEADER_BYTES, SectionHeader, SubmapPose, Tag, VERSION,
+    checksum_over, checksum_seed, content, name_of, submaps, tag,
 };
 use crate::Error;
 use crate::whole_file::WholeFile;
@@ -83,14 +83,24 @@ impl MapWriter {
     pub fn trajectory(&mut self, trajectory: &Trajectory) -> Result<(), Error> {
         self.section(tag::TRAJECTORY, |payload| {
             for pose in trajectory.poses() {
-                let (q, t) = (pose.world_from_camera.rotation, pose.world_from_camera.translation);
-                payload.write(&pose.timestamp.0.to_le_bytes())?;
-                for number in [t.x, t.y, t.z, q.x, q.y, q.z, q.w] {
-                    payload.write(&number.to_le_bytes())?;
-                }
+                let mut bytes = submaps::pose_bytes(&pose.world_from_camera);
+                bytes[..8].copy_from_slice(&pose.timestamp.0.to_le_bytes());
+                payload.write(&bytes)?;
             }
             Ok(())
         })
+    }
+
+    /// Writes where the submaps lie, to the bit. Without this, all of them are at the world's origin.
+    ///
+    /// # Errors
+    /// Where a pose is none or a submap has two ([`Error::MapContent`]), or the file cannot be written.
+    ///
+    /// # Panics
+    /// Where they were written before.
+    pub fn submaps(&mut self, submaps: &[SubmapPose]) -> Result<(), Error> {
+        submaps::check(submaps).map_err(|(expected, found)| content(&self.path, tag::SUBMAPS, expected, found))?;
+        self.section(tag::SUBMAPS, |payload| submaps.iter().try_for_each(|s| payload.write(&submaps::encode(s))))
     }
 
     /// Writes a section of bytes whose meaning is the caller's.
