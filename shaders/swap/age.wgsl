@@ -29,7 +29,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         let seen = last_seen[block];
         if seen == 0u || is_within(params.map, params.frustum, key) {
             last_seen[block] = params.frame;
-        } else {
+        } else if seen != params.frame {
+            // (Another submap's view of the same frame may have reached it.)
             atomicAdd(&ages[age_bin(params.frame - seen)], 1u);
         }
     }

@@ -13,13 +13,14 @@ use anyhow::{Context as _, Error, Result, anyhow, bail};
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
 use itm_core::evaluation::{self, Evaluation};
-use itm_core::{Mesh, Se3, Settings, StampedPose, Trajectory};
+use itm_core::{Mesh, Mode, Se3, Settings, StampedPose, Trajectory};
 use itm_io::map_file::MapReader;
 use itm_io::mesh::{MeshOptions, UpAxis};
 use itm_io::recording::{self, Format, RecordingInfo};
 use itm_io::trajectory::{TimeColumn, TumWriter};
 use itm_slam::{
-    Device, Event, FrameReport, FrameResult, FrameStatus, Notice, Poses, SavedSession, Session, SessionOptions, Start,
+    Device, Event, FrameReport, FrameResult, FrameStatus, Happening, Notice, Poses, SavedSession, Session,
+    SessionOptions, Start,
 };
 use serde::Serialize;
 use serde_json::json;
@@ -86,6 +87,9 @@ pub(crate) struct Arguments {
     /// Save the map, and the session, to this file at the end, also after Ctrl-C
     #[arg(long, value_name = "MAP")]
     save: Option<PathBuf>,
+    /// What kind of map is made; wins over the settings and --set
+    #[arg(long, value_enum)]
+    mode: Option<ModeArgument>,
     /// Where camera poses come from
     #[arg(long, value_enum, default_value_t = PosesArgument::Tracked)]
     poses: PosesArgument,
@@ -133,6 +137,14 @@ enum PosesArgument {
     Tracked,
     /// The recording's own
     Given,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ModeArgument {
+    /// One map, in which an error of tracking stays
+    Basic,
+    /// Submaps that are corrected where the camera comes back to a place
+    LoopClosure,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -268,7 +280,14 @@ pub(crate) struct Summary {
     /// Device memory of the map.
     pub(crate) map_bytes: u64,
     pub(crate) mesh: Option<MeshSummary>,
+    /// Of the final trajectory.
     pub(crate) evaluation: Option<Evaluation>,
+    /// Of the poses as they were found, where submaps have moved since.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) live_evaluation: Option<Evaluation>,
+    pub(crate) submaps: usize,
+    pub(crate) closures: usize,
+    pub(crate) keyframes: usize,
     pub(crate) mesh_error: Option<MeshError>,
     /// The frames that were not good, where that was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -366,23 +385,29 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     if let Some(path) = &arguments.save {
         keep(session.slam().save(path).with_context(|| format!("the map is not saved in '{}'", path.display())));
     }
+    let settled = session.slam().settle();
+    if let Some(happening) = &settled {
+        log.say(log.last_frame(), happening.to_string());
+        keep(log.write_corrected(&out, &session.slam().corrected_trajectory()));
+    }
     let mut mesh = None;
     if !arguments.no_mesh {
         keep(write_mesh(&mut session, &out, arguments).map(|written| mesh = Some(written)));
     }
     drop(stop);
 
-    let evaluation = match (&info.ground_truth, poses) {
-        (Some(truth), Poses::Tracked) => {
-            evaluation::evaluate(session.slam().trajectory(), truth, evaluation::DEFAULT_TOLERANCE_NS)
-                .map_err(|error| log.say(log.last_frame(), format!("no ATE: {error}")))
-                .ok()
-        }
+    let trajectory = session.slam().corrected_trajectory();
+    let mut evaluate = |trajectory: &Trajectory| match (&info.ground_truth, poses) {
+        (Some(truth), Poses::Tracked) => evaluation::evaluate(trajectory, truth, evaluation::DEFAULT_TOLERANCE_NS)
+            .map_err(|error| log.say(log.last_frame(), format!("no ATE: {error}")))
+            .ok(),
         _ => None,
     };
+    let evaluation = evaluate(&trajectory);
+    let live_evaluation = settled.is_some().then(|| evaluate(session.slam().trajectory())).flatten();
     let truth_from_mesh = match (&info.ground_truth, poses) {
         (_, Poses::Given) => Some(Se3::IDENTITY),
-        (Some(truth), Poses::Tracked) => mesh_error::align_poses(session.slam().trajectory(), truth),
+        (Some(truth), Poses::Tracked) => mesh_error::align_poses(&trajectory, truth),
         (None, Poses::Tracked) => None,
     };
     let scene = mesh_error::scene_of(&arguments.recording);
@@ -423,6 +448,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
             seconds: *seconds,
         }),
         evaluation,
+        live_evaluation,
+        submaps: session.slam().submaps().len().max(1),
+        closures: session.slam().submap_links().iter().filter(|link| link.closure).count(),
+        keyframes: session.slam().keyframes().len(),
         mesh_error,
         not_good: arguments.explain.then(|| rows.iter().filter_map(NotGood::of).collect()),
         messages: log.messages.clone(),
@@ -432,7 +461,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         summary.errors.push(format!("{error:#}"));
     }
     let pictures = pictures::of(session.slam(), mesh.as_ref().map(|(mesh, _)| mesh));
-    let trajectory = session.slam().trajectory().clone();
     let page = report::Report {
         summary: &summary,
         rows,
@@ -488,6 +516,11 @@ impl Arguments {
         if let Some(device) = &self.device {
             settings.device.adapter.clone_from(device);
         }
+        match self.mode {
+            Some(ModeArgument::Basic) => settings.mode = Mode::Basic,
+            Some(ModeArgument::LoopClosure) => settings.mode = Mode::LoopClosure,
+            None => {}
+        }
         Ok(settings)
     }
 }
@@ -523,6 +556,7 @@ fn prepare_folder(out: &Path, recording: &Path) -> Result<()> {
 /// Writes what was measured against the truth, where anything was.
 fn write_metrics(summary: &Summary) -> Result<()> {
     let Summary { frames_reached, posed, posed_share, poor, lost, evaluation, mesh_error, out, .. } = summary;
+    let Summary { live_evaluation, submaps, closures, keyframes, .. } = summary;
     if evaluation.is_none() && mesh_error.is_none() {
         return Ok(());
     }
@@ -534,6 +568,10 @@ fn write_metrics(summary: &Summary) -> Result<()> {
         "poor": poor,
         "lost": lost,
         "evaluation": evaluation,
+        "live_evaluation": live_evaluation,
+        "submaps": submaps,
+        "closures": closures,
+        "keyframes": keyframes,
         "mesh_error": mesh_error,
     });
     fs::write(&path, format!("{metrics:#}\n")).with_context(|| format!("cannot write '{}'", path.display()))
@@ -614,6 +652,18 @@ impl Log {
         Ok(())
     }
 
+    /// Writes the trajectory with the submaps where they lie at the end in place of the live one, which is kept beside it.
+    fn write_corrected(&self, out: &Path, trajectory: &Trajectory) -> Result<()> {
+        let (path, live) = (out.join("trajectory.txt"), out.join("trajectory_live.txt"));
+        fs::rename(&path, &live).with_context(|| format!("cannot keep '{}'", live.display()))?;
+        let time = if self.info.has_timestamps { TimeColumn::Seconds } else { TimeColumn::FrameNumber };
+        let mut writer = TumWriter::create(&path, time)?;
+        for (pose, place) in trajectory.poses().iter().zip(0..) {
+            writer.write(self.info.image_number(pose.timestamp).unwrap_or(place), pose)?;
+        }
+        Ok(())
+    }
+
     /// Runs the session to its end. Where results cannot be written any more, it is stopped, and `failure` says why.
     fn follow(&mut self, session: &mut Session, bar: &ProgressBar) -> Result<itm_slam::Summary> {
         let stop = session.stop_switch();
@@ -685,6 +735,12 @@ impl Log {
             && let Some(trouble) = row.trouble()
         {
             console::note(format_args!("frame {}: {trouble}: {}", row.frame, row.why()));
+        }
+        for happening in &result.happenings {
+            match happening {
+                Happening::Keyframe { .. } => {}
+                _ => self.say(result.index, happening.to_string()),
+            }
         }
         if let Some(report) = &result.report {
             self.tell_notices(report);
@@ -771,6 +827,9 @@ impl std::fmt::Display for Summary {
         }
         if let Some(evaluation) = &self.evaluation {
             let (ate, rpe) = (evaluation.ate.rmse * 1e3, evaluation.rpe_translation.rmse * 1e3);
+            if let Some(live) = &self.live_evaluation {
+                write!(f, "\nlive ATE: {:.2} mm rmse, before the submaps were corrected", live.ate.rmse * 1e3)?;
+            }
             let turn = evaluation.rpe_rotation.rmse.to_degrees();
             write!(f, "\nATE: {ate:.2} mm rmse over {} poses ({share:.1} % of the frames have one)", evaluation.pairs)?;
             write!(f, "\nRPE: {rpe:.2} mm, {turn:.3}° rmse a frame")?;

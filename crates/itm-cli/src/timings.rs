@@ -245,6 +245,7 @@ mod tests {
             index,
             timestamp: Timestamp(index as i64 * 500_000_000),
             world_from_camera: posed.then_some(Se3::IDENTITY),
+            submap: 0,
             status,
             tracked: None,
             fused: posed,
@@ -292,6 +293,7 @@ mod tests {
     fn what_tracking_found_is_in_the_row_and_reasons_are_one_cell() {
         let mut timings = Timings::new(Vec::new()).unwrap();
         let tracked = Tracked {
+            covariance: Default::default(),
             features: None,
             world_from_camera: Se3::IDENTITY,
             estimate: Se3::IDENTITY,

@@ -36,8 +36,8 @@ pub use points::PointCloud;
 pub use se3::{PoseError, Se3};
 pub use settings::{
     BilateralSettings, CompositePolicy, CompositeSettings, DenseSettings, DepthWeight, DeviceSettings,
-    ExtendedSettings, FileSettings, ForwardProjectionSettings, IcpSettings, ImuSettings, MapIndex, MapSettings,
+    ExtendedSettings, FileSettings, ForwardProjectionSettings, IcpSettings, ImuSettings, MapIndex, MapSettings, Mode,
     ObservationWeight, OnFailure, RelocaliserImage, RelocaliserKind, RelocaliserSettings, RgbSettings, Settings,
-    SettingsError, Swapping, TrackerKind, TrackerSettings, VerdictSettings, ViewSettings,
+    SettingsError, SubmapSettings, Swapping, TrackerKind, TrackerSettings, VerdictSettings, ViewSettings,
 };
 pub use trajectory::{StampedPose, Trajectory};

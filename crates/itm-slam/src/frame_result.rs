@@ -92,11 +92,13 @@ pub struct FrameResult {
     pub index: u64,
     /// The frame's time.
     pub timestamp: Timestamp,
-    /// The depth camera's pose, where there is one.
+    /// The depth camera's pose, where there is one: with several submaps, as those lie now.
     pub world_from_camera: Option<Se3>,
+    /// The submap that frames are fused into.
+    pub submap: u16,
     /// What became of the frame.
     pub status: FrameStatus,
-    /// What tracking found; `None` where it was not tried.
+    /// What tracking found, in the frame of the submap that it was tracked in; `None` where it was not tried.
     pub tracked: Option<Tracked>,
     /// Whether the frame was fused into the map.
     pub fused: bool,

@@ -21,6 +21,7 @@
 //! # }
 //! ```
 
+mod atlas;
 mod caster;
 mod chunked_mesh;
 mod chunks;
@@ -29,6 +30,7 @@ mod decimate;
 mod error;
 mod frame_result;
 mod happening;
+mod link;
 mod live;
 mod local;
 mod mapper;
@@ -39,16 +41,18 @@ mod saving;
 mod session;
 mod slam;
 mod source;
+mod submaps;
 mod swapping;
 pub mod tracking;
 mod views;
 
+pub use atlas::{Submap, SubmapLink, SubmapState};
 pub use chunked_mesh::{MeshOptions, mesh_blocks, mesh_in_chunks, with_neighbours};
 pub use combined::Combined;
 pub use decimate::{DecimateError, decimate};
 pub use error::Error;
 pub use frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
-pub use happening::Happening;
+pub use happening::{Happening, Optimised};
 pub use saved::SavedMap;
 pub use saving::{SavedSession, settings_of};
 pub use session::{Event, Session, SessionOptions, Start, Summary};

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use glam::{DVec3, IVec3, UVec3};
-use itm_core::voxel::{BEST_OBSERVATION, BlockKey, VoxelKind};
+use itm_core::voxel::{BEST_OBSERVATION, BLOCK_SIDE, BlockKey, VoxelKind};
 use itm_core::{Calibration, DenseSettings, Intrinsics, MapIndex, ObservationWeight, Se3, Settings, Swapping};
 use itm_gpu::changed::Changed;
 use itm_gpu::forward::Forward;
@@ -44,6 +44,8 @@ pub(crate) struct Mapper {
     demand: u32,
     /// Whether nothing has been fused yet.
     empty: bool,
+    /// Whether the next frame is the first of a submap, which asks for as many blocks as a map's first.
+    beginning: bool,
     /// Frames that have come so far. (A frame's own index is the caller's, and may start and jump as it likes.)
     frames: u64,
     /// Blocks that the map may grow to.
@@ -113,6 +115,8 @@ pub(crate) struct MapperState {
     pub(crate) capacity: u32,
     demand: u32,
     empty: bool,
+    #[serde(default)]
+    beginning: bool,
     frames: u64,
     limit: u32,
     clock: u32,
@@ -215,6 +219,7 @@ impl Mapper {
             waiting: VecDeque::new(),
             demand: 0,
             empty: true,
+            beginning: false,
             frames: 0,
             limit: if dense { map_capacity } else { limit },
             swapped,
@@ -249,6 +254,7 @@ impl Mapper {
             capacity: self.map.capacity(),
             demand: self.demand,
             empty: self.empty,
+            beginning: self.beginning,
             frames: self.frames,
             limit: self.limit,
             clock: self.clock,
@@ -335,6 +341,7 @@ impl Mapper {
         }
         self.demand = state.demand;
         self.empty = state.empty;
+        self.beginning = state.beginning;
         self.frames = state.frames;
         self.limit = self.limit.min(state.limit);
         self.clock = state.clock;
@@ -481,7 +488,7 @@ impl Mapper {
                 return Ok(false);
             }
             self.empty = false;
-        } else if self.empty {
+        } else if self.empty || std::mem::take(&mut self.beginning) {
             // The first frame asks for more blocks than any other. Nothing waits for it yet, so room is made at once.
             let mut recorder = Recorder::new(&self.device);
             self.caster.allocate.record(&mut recorder, &self.map, view, world_from_camera);
@@ -681,6 +688,7 @@ impl Mapper {
         max_depth_m: f32,
     ) -> Result<RaycastImage, Error> {
         let image = RaycastImage::new(&self.device, *camera)?;
+        self.map.look_at(0);
         self.map.lay_grid(camera, world_from_camera, max_depth_m, 0.0)?;
         let mut recorder = Recorder::new(&self.device);
         self.caster.look(&mut recorder, &self.map, &image, world_from_camera, max_depth_m);
@@ -713,6 +721,51 @@ impl Mapper {
         self.record_model(&mut recorder, model, world_from_camera, [NEAR_M, max_depth_m]);
         let _untimed = recorder.submit();
         Ok(())
+    }
+
+    /// The same for a submap beside the one that frames are fused into. Waits only where there are blocks in the host's store.
+    pub(crate) fn follow_beside(
+        &mut self,
+        submap: u16,
+        model: &mut Model,
+        submap_from_camera: &Se3,
+    ) -> Result<(), Error> {
+        if self.swapped.as_ref().is_some_and(|swapped| !swapped.store.is_empty()) {
+            return self.follow(submap, model, submap_from_camera);
+        }
+        let camera = *model.image.camera();
+        let max_depth_m = self.settings.view.max_depth_m + self.settings.map.truncation_m;
+        self.map.look_at(submap);
+        self.map.lay_grid(&camera, submap_from_camera, max_depth_m, 0.0)?;
+        let mut recorder = Recorder::new(&self.device);
+        if self.swaps() {
+            self.keep(&mut recorder, &camera, submap_from_camera, max_depth_m);
+        }
+        self.caster.find(&mut recorder, &self.map, &camera, submap_from_camera, max_depth_m);
+        self.record_model(&mut recorder, model, submap_from_camera, [NEAR_M, max_depth_m]);
+        let _untimed = recorder.submit();
+        Ok(())
+    }
+
+    /// Records that blocks of the submap in view are in use: they do not leave with the next frame.
+    fn keep(&self, recorder: &mut Recorder, camera: &Intrinsics, submap_from_camera: &Se3, max_depth_m: f32) {
+        let Some(swapped) = &self.swapped else { return };
+        let (margin_m, next) = (self.settings.map.swap_margin_m, self.clock + 1);
+        let (stage, range) = (&swapped.stage, [0.0, max_depth_m]);
+        let _counted_again = stage.record_ages(recorder, &self.map, camera, submap_from_camera, range, margin_m, next);
+    }
+
+    /// The next frame is a submap's first.
+    pub(crate) fn begin_submap(&mut self) {
+        self.beginning = true;
+    }
+
+    /// Centres of a submap's blocks on the device, in metres, in the order of their indices. Waits.
+    pub(crate) fn block_centres(&self, submap: u16) -> Result<Vec<DVec3>, Error> {
+        let voxel_m = f64::from(self.map.layout().voxel_size_m);
+        let side = f64::from(BLOCK_SIDE);
+        let keys = self.map.read_keys()?.into_iter().flatten().filter(|key| key.submap == submap);
+        Ok(keys.map(|key| (key.position.as_dvec3() * side + 0.5 * (side - 1.0)) * voxel_m).collect())
     }
 
     /// Records what the next frame is tracked against: the map cast anew, or, where the settings ask for it, what the last

@@ -1,7 +1,7 @@
 //! The core: frames in, poses and a map out. Synchronous, without threads.
 
 use itm_core::{
-    Calibration, ColourImage, Frame, Intrinsics, Mesh, ObservationWeight, OnFailure, Se3, Settings, StampedPose,
+    Calibration, ColourImage, Frame, Intrinsics, Mesh, Mode, ObservationWeight, OnFailure, Se3, Settings, StampedPose,
     Trajectory,
 };
 use itm_gpu::evaluate::Evaluator;
@@ -11,7 +11,9 @@ use itm_gpu::view::{ViewOptions, ViewStage};
 use itm_gpu::{Device, Recorder, StageTimes, View};
 
 use crate::Error;
+use crate::atlas::Atlas;
 use crate::chunked_mesh::{MeshOptions, mesh_in_chunks};
+use crate::combined::Combined;
 use crate::frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
 use crate::happening::Happening;
 use crate::local::{Eyes, Local, Needs};
@@ -19,6 +21,7 @@ use crate::mapper::{Late, Mapper, Place};
 use crate::places::{Places, around};
 use crate::robot::Questions;
 use crate::source::BlockSource as _;
+use crate::submaps::Beside;
 use crate::tracking::{Against, Tracked, Tracker, Verdict, colour_offset};
 use crate::views::MapViews;
 use itm_reloc::Keyframe;
@@ -40,10 +43,17 @@ pub struct Slam {
     pub(crate) poses: Poses,
     view_options: ViewOptions,
     view_stage: ViewStage,
-    view: View,
-    evaluator: Evaluator,
+    pub(crate) view: View,
+    pub(crate) evaluator: Evaluator,
     /// Tracking in the submap that frames are fused into.
     pub(crate) primary: Local,
+    /// Tracking in other submaps, where the map has several.
+    pub(crate) beside: Vec<Beside>,
+    /// The submaps; `None` where the map is one.
+    pub(crate) atlas: Option<Atlas>,
+    /// The frame from which on passive submaps are looked for again.
+    pub(crate) next_look: u64,
+    pub(crate) needs: Needs,
     /// Where the camera has been, to find it again.
     pub(crate) places: Option<Places>,
     pub(crate) mapper: Mapper,
@@ -97,6 +107,11 @@ impl Slam {
             view: View::new(device, calibration, &view_options),
             evaluator: Evaluator::new(device),
             primary: Local::new(device, calibration, &tracker, &needs, 0)?,
+            beside: Vec::new(),
+            atlas: (settings.mode == Mode::LoopClosure && poses == Poses::Tracked)
+                .then(|| Atlas::new(&settings.submaps)),
+            next_look: 0,
+            needs,
             places,
             mapper: Mapper::new(device, calibration, settings)?,
             render: Render::new(device),
@@ -117,9 +132,14 @@ impl Slam {
         &self.calibration
     }
 
-    /// The poses so far: one for each frame that has one.
+    /// The poses so far, one for each frame that has one, as they were found.
     pub fn trajectory(&self) -> &Trajectory {
         &self.trajectory
+    }
+
+    /// The same poses as the submaps lie now, which may have moved since; the same where there is one submap.
+    pub fn corrected_trajectory(&self) -> Trajectory {
+        self.atlas.as_ref().map_or_else(|| self.trajectory.clone(), Atlas::trajectory)
     }
 
     /// Blocks that the map can hold before its pools grow.
@@ -300,20 +320,22 @@ impl Slam {
     /// Finds the frame among the places that the camera has been at. It is followed, but fused only once further frames are
     /// good.
     fn relocalise(&mut self, frame: &Frame) -> Result<Option<Located>, Error> {
-        let Self { device, places, mapper, evaluator, view, calibration, settings, primary, .. } = self;
+        let Self { device, places, mapper, evaluator, view, calibration, settings, .. } = self;
         let Some(places) = places else { return Ok(None) };
         let candidates = places.candidates(device, &|_| true)?;
         let mut eyes = Eyes { evaluator, view, calibration, settings };
         let Some(found) = places.find(mapper, &mut eyes, frame, &candidates)? else { return Ok(None) };
-        let happening = found.happening();
-        primary.to_recover = settings.tracker.verdict.frames_to_recover;
+        let mut happenings = vec![found.happening()];
+        self.return_to(found.candidate.keyframe.submap, &mut happenings)?;
+        let (primary, happening) = (&mut self.primary, found.happening());
         primary.motion.forget();
+        primary.to_recover = self.settings.tracker.verdict.frames_to_recover;
         let left = primary.to_recover;
         let fuse = left == 0;
         let reason = format!("{happening}; fused after {left} more good frames");
         let status = if fuse { FrameStatus::Tracked } else { FrameStatus::Poor { reason } };
         let pose = Some(found.tracked.world_from_camera);
-        Ok(Some(Located { status, tracked: Some(found.tracked), pose, fuse, happenings: vec![happening] }))
+        Ok(Some(Located { status, tracked: Some(found.tracked), pose, fuse, happenings }))
     }
 
     /// Tracking begins at a pose in the map.
@@ -364,6 +386,12 @@ impl Slam {
         fuse &= self.settings.map.fuse;
         self.next_frame = frame.index + 1;
         let mut fused = false;
+        if let Some(at) = pose
+            && self.atlas.is_some()
+        {
+            let before = self.primary.motion.last();
+            pose = Some(self.tend(frame, before, at, tracked.as_ref(), &mut happenings)?);
+        }
         if let Some(world_from_camera) = pose {
             let lead = self.primary.motion.colour_lead(frame, &self.settings.view);
             let offset = colour_offset(&self.primary.motion.last(), &world_from_camera, lead);
@@ -387,6 +415,9 @@ impl Slam {
                 self.mapper.follow(self.primary.submap, &mut self.primary.model, &world_from_camera)?;
             }
             if let Some(world_from_camera) = pose {
+                if fused {
+                    self.note_central()?;
+                }
                 self.primary.age.frames += u64::from(fused);
                 self.primary.submap_from_model = Some(world_from_camera);
                 if matches!(status, FrameStatus::Placed) {
@@ -394,13 +425,15 @@ impl Slam {
                 }
                 self.primary.motion.moved_to(frame, world_from_camera);
                 self.list_colours(&(world_from_camera * colour_from_depth.inverse()), &world_from_camera);
+                let world_from_camera = self.to_world(&world_from_camera);
                 self.trajectory.push(StampedPose { timestamp: frame.timestamp, world_from_camera });
             }
         }
         Ok(FrameResult {
             index: frame.index,
             timestamp: frame.timestamp,
-            world_from_camera: pose,
+            world_from_camera: pose.map(|pose| self.to_world(&pose)),
+            submap: self.primary.submap,
             status,
             tracked,
             fused,
@@ -472,12 +505,29 @@ impl Slam {
     /// Where the device fails.
     pub fn mesh(&mut self, progress: &mut dyn FnMut(u32, u32)) -> Result<Mesh, Error> {
         let device = self.device.clone();
+        let count = |n: u64| u32::try_from(n).unwrap_or(u32::MAX);
+        let mut told = |done, of| progress(count(done), count(of));
+        if self.submaps().len() > 1 {
+            return self
+                .with_combined(|combined| mesh_in_chunks(&device, combined, &MeshOptions::default(), &mut told));
+        }
         if let Some(mut live) = self.mapper.live()? {
-            let count = |n: u64| u32::try_from(n).unwrap_or(u32::MAX);
-            let mut told = |done, of| progress(count(done), count(of));
             return mesh_in_chunks(&device, &mut live, &MeshOptions::default(), &mut told);
         }
         Ok(self.extract.run(&self.mapper.map, &itm_gpu::mesh::Options::default(), progress)?)
+    }
+
+    /// Optimises the submaps' poses with all that is known, at the end of a run; what was done, where there is more than one.
+    pub fn settle(&mut self) -> Option<Happening> {
+        self.atlas.as_mut().filter(|atlas| atlas.submaps.len() > 1)?.finish()
+    }
+
+    /// Does something with the submaps' blocks as one map's.
+    fn with_combined<T>(&mut self, with: impl FnOnce(&mut Combined<'_>) -> Result<T, Error>) -> Result<T, Error> {
+        let (poses, largest) = (self.submap_poses(), crate::views::full_weight(&self.settings));
+        self.mapper.read_moved()?;
+        let mut live = self.mapper.live_map()?;
+        with(&mut Combined::new(&mut live, &poses, largest)?)
     }
 
     /// A picture of the map as a camera sees it from a pose, up to `max_depth_m`. Pixels that show nothing have alpha 0.
@@ -493,6 +543,13 @@ impl Slam {
     ) -> Result<ColourImage, Error> {
         let scale = Scale { depth_m: [0.0, max_depth_m], confidence: crate::views::full_confidence(&self.settings) };
         let device = self.device.clone();
+        if self.submaps().len() > 1 {
+            return self.with_combined(|combined| {
+                let mut views = MapViews::new(&device, combined.layout(), 0, 1)?;
+                views.look(combined, camera, world_from_camera, max_depth_m)?;
+                views.picture(shading, &scale)
+            });
+        }
         if let Some(mut live) = self.mapper.live()? {
             let mut views = MapViews::new(&device, live.layout(), 0, 1)?;
             views.look(&mut live, camera, world_from_camera, max_depth_m)?;

@@ -1,6 +1,7 @@
 //! The settings of a run: one tree, documented where it is defined, unknown keys refused.
 
 mod relocaliser;
+mod submaps;
 mod tracker;
 mod tracker_string;
 
@@ -9,6 +10,7 @@ use thiserror::Error;
 
 use crate::voxel::{BEST_OBSERVATION, DistanceKind};
 pub use relocaliser::{RelocaliserImage, RelocaliserKind, RelocaliserSettings};
+pub use submaps::SubmapSettings;
 pub use tracker::{
     CompositePolicy, CompositeSettings, DepthWeight, ExtendedSettings, FileSettings, ForwardProjectionSettings,
     IcpSettings, ImuSettings, OnFailure, RgbSettings, TrackerKind, TrackerSettings, VerdictSettings,
@@ -21,6 +23,8 @@ pub use tracker::{
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
+    /// What kind of map is made.
+    pub mode: Mode,
     /// Which adapter computes.
     pub device: DeviceSettings,
     /// From raw images to what tracking and fusion use.
@@ -31,6 +35,29 @@ pub struct Settings {
     pub tracker: TrackerSettings,
     /// How a place is found again.
     pub relocaliser: RelocaliserSettings,
+    /// How a map of submaps is divided and kept consistent.
+    pub submaps: SubmapSettings,
+}
+
+/// What kind of map is made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Mode {
+    /// One map, in which an error of tracking stays.
+    #[default]
+    Basic,
+    /// Many submaps, whose poses are corrected where the camera comes back to a place; see `submaps`.
+    LoopClosure,
+}
+
+impl Mode {
+    /// Its name in settings.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Basic => "basic",
+            Self::LoopClosure => "loop-closure",
+        }
+    }
 }
 
 /// Which adapter computes.
@@ -356,7 +383,7 @@ impl Settings {
     /// # Errors
     /// The first value out of range.
     pub fn validate(&self) -> Result<(), SettingsError> {
-        let Self { device: _, view, map, tracker, relocaliser } = self;
+        let Self { mode: _, device: _, view, map, tracker, relocaliser, submaps } = self;
         check(in_range(view.min_depth_m, 0.0, 1000.0), "view.min_depth_m", "between 0 and 1000", view.min_depth_m)?;
         check(
             in_range(view.max_depth_m, 0.0, 1000.0) && view.max_depth_m > view.min_depth_m,
@@ -404,7 +431,8 @@ impl Settings {
         check(in_range(map.swap_margin_m, 0.0, 10.0), "map.swap_margin_m", "between 0 and 10", map.swap_margin_m)?;
         map.dense.validate()?;
         tracker.validate()?;
-        relocaliser.validate()
+        relocaliser.validate()?;
+        submaps.validate()
     }
 }
 

@@ -86,7 +86,12 @@ impl SubmapSettings {
             ("submaps.optimise_every", self.optimise_every, 1),
             ("submaps.optimise_delay", self.optimise_delay, 1),
         ] {
-            check((least..=1_000_000).contains(&value), key, "a whole number from 1 (max_active: 2) to a million", value)?;
+            check(
+                (least..=1_000_000).contains(&value),
+                key,
+                "a whole number from 1 (max_active: 2) to a million",
+                value,
+            )?;
         }
         let enough = self.closure_successes <= self.closure_tries;
         check(enough, "submaps.closure_successes", "at most submaps.closure_tries", self.closure_successes)?;

@@ -1,5 +1,7 @@
 //! From the sums of several error terms to one step of the pose.
 
+use glam::DMat3;
+use itm_core::Se3;
 use itm_gpu::icp::DepthTerm;
 use itm_gpu::{DepthSums, PhotometricSums};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix6, Matrix6x2, SymmetricEigen, Vector2, Vector6};
@@ -151,6 +153,21 @@ impl NormalEquations {
         let of_depth = Evaluation { colour: [None; 2], ..*evaluation };
         let information = Self::new(&of_depth, request, plan, noise, 0.0).information()[0].max(0.0);
         plan.colour_weight / (1.0 + (information / enough).powi(2)).powi(4)
+    }
+
+    /// Covariance of the error of a pose that these equations are of, as a twist in the camera's own axes: metres, then radians.
+    /// Directions that nothing determines are uncertain by a metre or a radian.
+    pub fn covariance(&self, pose: &Se3) -> Matrix6<f64> {
+        // The equations turn about a pivot near the camera, in the world's axes.
+        let covariance = (self.hessian + Matrix6::identity()).try_inverse().unwrap_or_else(Matrix6::identity);
+        let world_from_camera = DMat3::from_quat(pose.rotation);
+        let mut turn = Matrix6::zeros();
+        for (row, column) in (0..3).flat_map(|row| (0..3).map(move |column| (row, column))) {
+            let value = world_from_camera.col(row)[column];
+            turn[(row, column)] = value;
+            turn[(row + 3, column + 3)] = value;
+        }
+        turn * covariance * turn.transpose()
     }
 
     /// How well each direction of motion is determined, least first: eigenvalues of the Hessian for a pair's weight, with

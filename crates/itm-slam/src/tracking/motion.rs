@@ -49,6 +49,12 @@ impl Motion {
         }
     }
 
+    /// The same motion as poses in another frame have it.
+    pub fn seen_from(&self, other_from_world: &Se3) -> Self {
+        let last = self.last.map(|(time, pose)| (time, *other_from_world * pose));
+        Self { last, ..self.clone() }
+    }
+
     /// Forgets the last pose and the velocity: the camera is found somewhere else.
     pub fn forget(&mut self) {
         self.velocity = None;

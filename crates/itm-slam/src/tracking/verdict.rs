@@ -1,6 +1,7 @@
 //! Whether a pose can be relied on, and why not.
 
 use itm_core::{Se3, VerdictSettings};
+use nalgebra::Matrix6;
 
 use super::classifier::{Classifier, Features};
 use super::{Evaluation, Plan};
@@ -53,6 +54,9 @@ pub struct Tracked {
     pub information: f64,
     /// Directions of motion that were held.
     pub held: usize,
+    /// Covariance of the estimate's error, as a twist in the camera's own axes (metres, then radians): of the sensor's noise
+    /// alone, as the equations have it. Zeros where the pose was not estimated.
+    pub covariance: Matrix6<f64>,
     /// Which start it came from.
     pub start: usize,
     /// Evaluations of the objective, from the coarsest level to the finest.
@@ -78,6 +82,7 @@ impl Tracked {
             rms_m: f64::INFINITY,
             information: 0.0,
             held: 0,
+            covariance: Matrix6::zeros(),
             start: 0,
             evaluations: Vec::new(),
         }
@@ -150,6 +155,7 @@ pub(crate) fn judge(settings: &VerdictSettings, ended: &Ended<'_>) -> Tracked {
         rms_m,
         information: outcome.equations.as_ref().map_or(0.0, |e| e.information()[0]),
         held: outcome.held,
+        covariance: outcome.equations.as_ref().map_or_else(Matrix6::zeros, |e| e.covariance(&finite)),
         start: outcome.start,
         evaluations: outcome.evaluations.clone(),
     }

@@ -1,0 +1,372 @@
+//! The submaps of a map: where they lie in the world, what is known of their places relative to each other, and the frames'
+//! poses in them (Kähler et al. 2016, *Real-Time Large-Scale Dense 3D Reconstruction with Loop Closure*).
+//!
+//! Poses are optimised on a thread of its own. Its result is taken over a fixed number of frames later, waited for where it is
+//! late, so that a recording gives the same map each time.
+
+use std::collections::BTreeMap;
+use std::thread::JoinHandle;
+
+use glam::DVec3;
+use itm_core::{Intrinsics, Se3, StampedPose, SubmapSettings, Timestamp, Trajectory};
+use itm_graph::{Edge, NodeId, Options, PoseGraph, information};
+use serde::{Deserialize, Serialize};
+
+use crate::happening::{Happening, Optimised};
+use crate::link::{Link, Observation};
+
+/// How well a submap's place is known before it is measured, as standard deviations: it begins at the camera's pose in the one
+/// before.
+const AT_BIRTH: [f64; 2] = [0.02, 0.01];
+
+/// Whether the camera is tracked in a submap.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SubmapState {
+    /// It is, and frames are fused into it.
+    Primary,
+    /// It is.
+    Active,
+    /// It is not.
+    Passive,
+}
+
+/// A rigid part of the map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Submap {
+    /// Where it lies in the world.
+    pub world_from_submap: Se3,
+    /// Whether the camera is tracked in it.
+    pub state: SubmapState,
+    /// The submap that it began in, and where.
+    parent: Option<(u16, Se3)>,
+    /// Centres of some blocks that its first frame saw, in metres.
+    central: Vec<[f32; 3]>,
+    /// How far the camera had gone when it was last tracked in this submap, in metres.
+    left_at_m: f64,
+}
+
+/// A pose between two submaps that was measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SubmapLink {
+    /// The one submap.
+    pub from: u16,
+    /// The other.
+    pub to: u16,
+    /// The pose of the other in the one.
+    pub from_from_to: Se3,
+    /// Whether the camera came back to get it.
+    pub closure: bool,
+    /// Frames that measured it, of the last ones.
+    pub frames: usize,
+}
+
+/// All submaps.
+#[derive(Debug)]
+pub(crate) struct Atlas {
+    settings: SubmapSettings,
+    pub(crate) submaps: Vec<Submap>,
+    links: BTreeMap<(u16, u16), Link>,
+    /// Of each frame that has one, its time and its pose in a submap.
+    frames: Vec<(Timestamp, u16, Se3)>,
+    /// How far the camera has gone, in metres.
+    way_m: f64,
+    /// Links measured since the poses were last optimised.
+    unused: u32,
+    running: Option<Running>,
+}
+
+/// An optimisation that was begun.
+#[derive(Debug)]
+struct Running {
+    /// Its result is taken over at this frame.
+    due: u64,
+    result: RunResult,
+}
+
+/// All submaps' poses, and what was done; `None` where it failed.
+type Solved = Option<(Vec<Se3>, Optimised)>;
+
+#[derive(Debug)]
+enum RunResult {
+    Coming(JoinHandle<Solved>),
+    Here(Solved),
+}
+
+impl RunResult {
+    fn begin(mut graph: PoseGraph) -> Self {
+        Self::Coming(std::thread::spawn(move || match graph.optimise(&Options::default()) {
+            Ok(report) => {
+                let optimised = Optimised {
+                    submaps: graph.nodes().len(),
+                    links: graph.edges().len(),
+                    moved_m: 0.0,
+                    cost: [report.initial_cost, report.final_cost],
+                    doubted: report.edges.iter().filter(|edge| edge.weight < 0.1).count(),
+                };
+                Some((graph.nodes().iter().map(|node| node.world_from_node).collect(), optimised))
+            }
+            Err(error) => {
+                tracing::warn!("the submaps' poses were not optimised: {error}");
+                None
+            }
+        }))
+    }
+
+    fn wait(self) -> Solved {
+        match self {
+            Self::Here(solved) => solved,
+            Self::Coming(thread) => thread.join().unwrap_or_else(|_panicked| {
+                tracing::error!("the optimisation of the submaps' poses stopped");
+                None
+            }),
+        }
+    }
+}
+
+/// An [`Atlas`] as it is saved.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct AtlasState {
+    way_m: f64,
+    unused: u32,
+    /// When the result of an optimisation is due, and what it is.
+    running: Option<(u64, Solved)>,
+    submaps: Vec<Submap>,
+    links: Vec<Link>,
+    frames: Vec<(i64, u16, Se3)>,
+}
+
+impl Atlas {
+    /// One submap, at the world's origin.
+    pub(crate) fn new(settings: &SubmapSettings) -> Self {
+        let first = Submap {
+            world_from_submap: Se3::IDENTITY,
+            state: SubmapState::Primary,
+            parent: None,
+            central: Vec::new(),
+            left_at_m: 0.0,
+        };
+        Self {
+            settings: settings.clone(),
+            submaps: vec![first],
+            links: BTreeMap::new(),
+            frames: Vec::new(),
+            way_m: 0.0,
+            unused: 0,
+            running: None,
+        }
+    }
+
+    pub(crate) fn submap(&self, number: u16) -> &Submap {
+        &self.submaps[usize::from(number)]
+    }
+
+    pub(crate) fn world_from(&self, number: u16) -> Se3 {
+        self.submap(number).world_from_submap
+    }
+
+    /// Begins a submap at a camera's pose in another one; its number.
+    pub(crate) fn begin(&mut self, parent: u16, parent_from_camera: &Se3) -> Option<u16> {
+        // 65535 is the key of blocks that are not in use.
+        let number = u16::try_from(self.submaps.len()).ok().filter(|number| *number < u16::MAX)?;
+        self.submaps.push(Submap {
+            world_from_submap: self.world_from(parent) * *parent_from_camera,
+            state: SubmapState::Passive,
+            parent: Some((parent, *parent_from_camera)),
+            central: Vec::new(),
+            left_at_m: self.way_m,
+        });
+        Some(number)
+    }
+
+    /// Sets what its first frame saw: centres of blocks, of which as many as the settings say are kept, evenly.
+    pub(crate) fn set_central(&mut self, number: u16, blocks: &[DVec3]) {
+        let most = self.settings.central_blocks as usize;
+        let kept = blocks.len().min(most);
+        let central = (0..kept).map(|i| blocks[i * blocks.len() / kept].as_vec3().to_array());
+        self.submaps[usize::from(number)].central = central.collect();
+    }
+
+    pub(crate) fn has_central(&self, number: u16) -> bool {
+        !self.submap(number).central.is_empty()
+    }
+
+    /// The share of a submap's central part that a camera has in view.
+    pub(crate) fn share_in_view(
+        &self,
+        number: u16,
+        camera: &Intrinsics,
+        submap_from_camera: &Se3,
+        max_depth_m: f64,
+    ) -> f64 {
+        let central = &self.submap(number).central;
+        let camera_from_submap = submap_from_camera.inverse();
+        let inside = |centre: &&[f32; 3]| {
+            let p = camera_from_submap.transform_point(DVec3::from_array(centre.map(f64::from)));
+            let limits = DVec3::new(f64::from(camera.width) - 0.5, f64::from(camera.height) - 0.5, max_depth_m);
+            p.z <= limits.z
+                && camera
+                    .project(p)
+                    .is_some_and(|pixel| pixel.min_element() >= -0.5 && pixel.x <= limits.x && pixel.y <= limits.y)
+        };
+        central.iter().filter(inside).count() as f64 / central.len().max(1) as f64
+    }
+
+    /// Takes a frame's pose in the primary submap in.
+    pub(crate) fn moved_to(&mut self, timestamp: Timestamp, submap: u16, submap_from_camera: &Se3) {
+        if let Some((_, before, pose)) = self.frames.last()
+            && *before == submap
+        {
+            self.way_m += pose.translation.distance(submap_from_camera.translation);
+        }
+        self.submaps[usize::from(submap)].left_at_m = self.way_m;
+        self.frames.push((timestamp, submap, *submap_from_camera));
+    }
+
+    pub(crate) fn set_state(&mut self, number: u16, state: SubmapState) {
+        let submap = &mut self.submaps[usize::from(number)];
+        if submap.state != SubmapState::Passive {
+            submap.left_at_m = self.way_m;
+        }
+        submap.state = state;
+    }
+
+    /// How far a closure may move the camera, in metres.
+    pub(crate) fn drift_allowed_m(&self, to: u16) -> f64 {
+        self.settings.max_drift_m + self.settings.max_drift * (self.way_m - self.submap(to).left_at_m)
+    }
+
+    /// Takes in what a frame says of the pose between two submaps. The link, where this has measured it for the first time.
+    pub(crate) fn observe(&mut self, from: u16, to: u16, observation: Observation) -> Option<&Link> {
+        let link = self.links.entry((from, to)).or_insert_with(|| Link::new(from, to, false));
+        let first = link.observe(observation, &self.settings);
+        if !first {
+            return None;
+        }
+        self.unused += u32::from(link.measured(&self.settings).is_some());
+        self.links.get(&(from, to))
+    }
+
+    /// Takes a closure's link in, in place of one that is there.
+    pub(crate) fn close(&mut self, link: Link) {
+        self.unused = self.settings.optimise_every;
+        self.links.insert((link.from, link.to), link);
+    }
+
+    /// The links that were measured.
+    pub(crate) fn links(&self) -> impl Iterator<Item = SubmapLink> {
+        self.links.values().filter_map(|link| {
+            let (from_from_to, _) = link.measured(&self.settings)?;
+            let Link { from, to, closure, .. } = *link;
+            Some(SubmapLink { from, to, from_from_to, closure, frames: link.frames() })
+        })
+    }
+
+    pub(crate) fn is_measured(&self, a: u16, b: u16) -> bool {
+        let measured = |key| self.links.get(&key).is_some_and(|link| link.measured(&self.settings).is_some());
+        measured((a, b)) || measured((b, a))
+    }
+
+    /// Takes over the result that is due at a frame, and begins another optimisation where there is something new.
+    pub(crate) fn optimise(&mut self, frame: u64) -> Option<Happening> {
+        let due = self.running.as_ref().is_some_and(|running| running.due <= frame);
+        let happening = if due { self.take_over() } else { None };
+        if self.running.is_none() && self.unused >= self.settings.optimise_every {
+            self.unused = 0;
+            let due = frame + u64::from(self.settings.optimise_delay);
+            self.running = self.graph().map(|graph| Running { due, result: RunResult::begin(graph) }).map_or_else(
+                |error| {
+                    tracing::warn!("the submaps' poses cannot be optimised: {error}");
+                    None
+                },
+                Some,
+            );
+        }
+        happening
+    }
+
+    /// Optimises with all that is known, at the end of a run.
+    pub(crate) fn finish(&mut self) -> Option<Happening> {
+        let _replaced = self.take_over();
+        self.unused = self.settings.optimise_every;
+        let _begun = self.optimise(0);
+        self.take_over()
+    }
+
+    /// Waits for the optimisation that was begun, and takes its result over.
+    fn take_over(&mut self) -> Option<Happening> {
+        let (poses, mut optimised) = self.running.take()?.result.wait()?;
+        // Submaps that began meanwhile move with the ones that they began in.
+        for number in 0..self.submaps.len() {
+            let pose = match poses.get(number) {
+                Some(pose) => *pose,
+                None => {
+                    let Some((parent, pose)) = self.submaps[number].parent else { continue };
+                    self.world_from(parent) * pose
+                }
+            };
+            let before = std::mem::replace(&mut self.submaps[number].world_from_submap, pose);
+            optimised.moved_m = optimised.moved_m.max(pose.translation.distance(before.translation));
+        }
+        Some(Happening::Optimised(optimised))
+    }
+
+    /// The graph of the submaps' poses: measured links, and between a submap and that in which it began, where that is not
+    /// measured, the camera's pose then.
+    pub(crate) fn graph(&self) -> Result<PoseGraph, itm_graph::Error> {
+        let mut graph = PoseGraph::new();
+        for (number, submap) in (0..).zip(&self.submaps) {
+            graph.add_node(NodeId(number), submap.world_from_submap)?;
+        }
+        for link in self.links.values() {
+            let Some((pose, information)) = link.measured(&self.settings) else { continue };
+            let (from, to) = (NodeId(link.from.into()), NodeId(link.to.into()));
+            let edge = if link.closure { Edge::closure } else { Edge::sequential };
+            graph.add_edge(edge(from, to, pose, information))?;
+        }
+        for (number, submap) in (0_u16..).zip(&self.submaps) {
+            let Some((parent, pose)) = submap.parent else { continue };
+            if !self.is_measured(parent, number) {
+                let known = information(AT_BIRTH[0], AT_BIRTH[1]);
+                graph.add_edge(Edge::sequential(NodeId(parent.into()), NodeId(number.into()), pose, known))?;
+            }
+        }
+        Ok(graph)
+    }
+
+    /// The frames' poses as the submaps lie now.
+    pub(crate) fn trajectory(&self) -> Trajectory {
+        let pose = |(timestamp, submap, pose): &(Timestamp, u16, Se3)| StampedPose {
+            timestamp: *timestamp,
+            world_from_camera: self.world_from(*submap) * *pose,
+        };
+        self.frames.iter().map(pose).collect()
+    }
+
+    /// Waits for what runs. Its result is still taken over at its frame.
+    pub(crate) fn state(&mut self) -> AtlasState {
+        let running = self.running.take().map(|running| (running.due, running.result.wait()));
+        self.running = running.clone().map(|(due, solved)| Running { due, result: RunResult::Here(solved) });
+        AtlasState {
+            way_m: self.way_m,
+            unused: self.unused,
+            running,
+            submaps: self.submaps.clone(),
+            links: self.links.values().cloned().collect(),
+            frames: self.frames.iter().map(|(time, submap, pose)| (time.0, *submap, *pose)).collect(),
+        }
+    }
+
+    pub(crate) fn from_state(settings: &SubmapSettings, state: AtlasState) -> Self {
+        let AtlasState { way_m, unused, running, submaps, links, frames } = state;
+        Self {
+            settings: settings.clone(),
+            submaps,
+            links: links.into_iter().map(|link| ((link.from, link.to), link)).collect(),
+            frames: frames.into_iter().map(|(time, submap, pose)| (Timestamp(time), submap, pose)).collect(),
+            way_m,
+            unused,
+            running: running.map(|(due, solved)| Running { due, result: RunResult::Here(solved) }),
+        }
+    }
+}

@@ -1,0 +1,378 @@
+//! The life of submaps (the report, on globally-consistent reconstruction; Kähler et al. 2016, *Real-Time Large-Scale Dense 3D
+//! Reconstruction with Loop Closure*): the camera is tracked in all that are active, frames are fused into one of them, a new
+//! one begins where the camera leaves its middle, and passive ones become active again where the camera comes back.
+
+use itm_core::{Frame, Se3};
+use itm_reloc::Keyframe;
+use serde::{Deserialize, Serialize};
+
+use crate::atlas::{Atlas, Submap, SubmapLink, SubmapState};
+use crate::happening::Happening;
+use crate::link::{Link, Observation};
+use crate::local::{Eyes, Local};
+use crate::tracking::{Tracked, Verdict};
+use crate::{Error, Slam};
+
+/// After a look at passive submaps that led nowhere, so many of `submaps.look_every` pass until the next.
+const REST: u64 = 6;
+
+/// An active submap beside the primary, or one on trial.
+#[derive(Debug)]
+pub(crate) struct Beside {
+    pub(crate) local: Local,
+    pub(crate) life: Life,
+}
+
+/// How an active submap has fared.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Life {
+    /// Frames in a row in which tracking was not good.
+    failed: u32,
+    /// Where it is not sure yet that the camera is there.
+    trial: Option<Trial>,
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Trial {
+    tries: u32,
+    successes: u32,
+    link: Link,
+}
+
+/// What a frame says of an active submap.
+struct Seen {
+    pose: Se3,
+    good: bool,
+}
+
+impl Slam {
+    /// The submaps, by number; none with `mode = "basic"`.
+    pub fn submaps(&self) -> &[Submap] {
+        self.atlas.as_ref().map_or(&[], |atlas| &atlas.submaps)
+    }
+
+    /// The poses between submaps that were measured.
+    pub fn submap_links(&self) -> Vec<SubmapLink> {
+        self.atlas.iter().flat_map(Atlas::links).collect()
+    }
+
+    /// Where each submap lies in the world; the world is the only one's frame with `mode = "basic"`.
+    pub(crate) fn submap_poses(&self) -> Vec<(u16, Se3)> {
+        match &self.atlas {
+            Some(atlas) => (0..).zip(&atlas.submaps).map(|(number, s)| (number, s.world_from_submap)).collect(),
+            None => vec![(0, Se3::IDENTITY)],
+        }
+    }
+
+    /// A pose in the primary submap as one in the world.
+    pub(crate) fn to_world(&self, submap_from_camera: &Se3) -> Se3 {
+        match &self.atlas {
+            Some(atlas) => atlas.world_from(self.primary.submap) * *submap_from_camera,
+            None => *submap_from_camera,
+        }
+    }
+
+    /// Follows the camera in the submaps beside the primary, once its pose there is known; decides which is the primary from
+    /// here on. `before` is the last frame's pose. Returns the frame's pose in what is the primary now.
+    pub(crate) fn tend(
+        &mut self,
+        frame: &Frame,
+        before: Option<Se3>,
+        pose: Se3,
+        tracked: Option<&Tracked>,
+        happenings: &mut Vec<Happening>,
+    ) -> Result<Se3, Error> {
+        let good = tracked.is_some_and(|tracked| tracked.verdict == Verdict::Good) && self.primary.to_recover == 0;
+        let step = before.map(|before| before.inverse() * pose);
+        let mut seen = self.track_beside(frame, step, good.then_some((&pose, tracked)), happenings)?;
+        self.end_trials(&pose, &mut seen, happenings);
+        let mut pose = pose;
+        if good {
+            self.look_for_closure(frame, &pose, &mut seen, happenings)?;
+            pose = self.choose_primary(frame, pose, &mut seen, happenings)?;
+        }
+        self.leave(&mut seen, happenings);
+        for (beside, seen) in self.beside.iter_mut().zip(&seen) {
+            let local = &mut beside.local;
+            self.mapper.follow_beside(local.submap, &mut local.model, &seen.pose)?;
+            local.submap_from_model = Some(seen.pose);
+            local.motion.moved_to(frame, seen.pose);
+        }
+        if let Some(atlas) = &mut self.atlas {
+            atlas.moved_to(frame.timestamp, self.primary.submap, &pose);
+            happenings.extend(atlas.optimise(self.mapper.frames()));
+        }
+        Ok(pose)
+    }
+
+    /// Tracks the frame in the submaps beside the primary, and measures where those lie.
+    fn track_beside(
+        &mut self,
+        frame: &Frame,
+        step: Option<Se3>,
+        in_primary: Option<(&Se3, Option<&Tracked>)>,
+        happenings: &mut Vec<Happening>,
+    ) -> Result<Vec<Seen>, Error> {
+        let Self { beside, atlas, primary, evaluator, view, calibration, settings, .. } = self;
+        let mut eyes = Eyes { evaluator, view, calibration, settings };
+        let mut seen = Vec::new();
+        for Beside { local, life } in beside {
+            let last = local.submap_from_model.unwrap_or_default();
+            // The camera moves in each submap as it does in the primary.
+            let expected = step.map_or(last, |step| last * step);
+            let found = local.track_from(&mut eyes, frame, &[expected])?;
+            let good = found.as_ref().is_some_and(|found| found.verdict == Verdict::Good);
+            life.failed = if good { 0 } else { life.failed + 1 };
+            let pose = found.as_ref().filter(|_| good).map_or(expected, |found| found.estimate);
+            if let Some(trial) = &mut life.trial {
+                trial.tries += 1;
+                trial.successes += u32::from(good);
+            }
+            if let (Some((in_primary, Some(tracked))), Some(found), Some(atlas)) =
+                (in_primary, found.filter(|_| good), atlas.as_mut())
+            {
+                let (from, to) = (primary.submap, local.submap);
+                match &mut life.trial {
+                    Some(trial) => {
+                        let of = [&tracked.covariance, &found.covariance];
+                        trial.link.observe(Observation::new([in_primary, &pose], of), &settings.submaps);
+                    }
+                    // One link for both directions.
+                    None if from < to => {
+                        let of = [&tracked.covariance, &found.covariance];
+                        let link = atlas.observe(from, to, Observation::new([in_primary, &pose], of));
+                        happenings.extend(link.map(|link| Happening::Linked { from: link.from, to: link.to }));
+                    }
+                    None => {
+                        let of = [&found.covariance, &tracked.covariance];
+                        let link = atlas.observe(to, from, Observation::new([&pose, in_primary], of));
+                        happenings.extend(link.map(|link| Happening::Linked { from: link.from, to: link.to }));
+                    }
+                }
+            }
+            seen.push(Seen { pose, good });
+        }
+        Ok(seen)
+    }
+
+    /// Accepts closures that were confirmed, and gives up those that were not.
+    fn end_trials(&mut self, pose: &Se3, seen: &mut Vec<Seen>, happenings: &mut Vec<Happening>) {
+        let settings = self.settings.submaps.clone();
+        let Some(atlas) = &mut self.atlas else { return };
+        let mut at = 0;
+        while at < self.beside.len() {
+            let Beside { local, life } = &mut self.beside[at];
+            let Some(trial) = &life.trial else {
+                at += 1;
+                continue;
+            };
+            let to = local.submap;
+            let ends = if trial.link.from != self.primary.submap {
+                Some("the camera has left the submap that it was measured from".to_owned())
+            } else if trial.successes >= settings.closure_successes {
+                match trial.link.measured(&settings) {
+                    Some(_) => None,
+                    None => Some(format!(
+                        "{:.0} % of the frames agree on where it lies",
+                        100.0 * trial.link.agreement().unwrap_or(0.0)
+                    )),
+                }
+            } else if trial.tries >= settings.closure_tries {
+                Some(format!("{} of {} frames were tracked there", trial.successes, trial.tries))
+            } else {
+                at += 1;
+                continue;
+            };
+            match ends {
+                None => {
+                    let from = self.primary.submap;
+                    let moved_m = moved(atlas, from, pose, to, &seen[at].pose);
+                    let trial = life.trial.take().expect("it is on trial");
+                    atlas.close(trial.link);
+                    atlas.set_state(to, SubmapState::Active);
+                    happenings.push(Happening::ClosureAccepted { from, to, moved_m });
+                    at += 1;
+                }
+                Some(reason) => {
+                    happenings.push(Happening::ClosureRefused { submap: to, reason });
+                    self.beside.remove(at);
+                    seen.remove(at);
+                }
+            }
+        }
+    }
+
+    /// Looks whether the camera is back in a passive submap.
+    fn look_for_closure(
+        &mut self,
+        frame: &Frame,
+        pose: &Se3,
+        seen: &mut Vec<Seen>,
+        happenings: &mut Vec<Happening>,
+    ) -> Result<(), Error> {
+        let settings = &self.settings.submaps;
+        let now = self.mapper.frames();
+        let on_trial = self.beside.iter().any(|beside| beside.life.trial.is_some());
+        let (Some(atlas), Some(places)) = (&self.atlas, &mut self.places) else { return Ok(()) };
+        if on_trial || now < self.next_look || !now.is_multiple_of(settings.look_every.into()) {
+            return Ok(());
+        }
+        let passive = |keyframe: &Keyframe| {
+            usize::from(keyframe.submap) < atlas.submaps.len()
+                && atlas.submap(keyframe.submap).state == SubmapState::Passive
+        };
+        let mut candidates = places.candidates(&self.device, &passive)?;
+        candidates.retain(|candidate| candidate.dissimilarity <= settings.max_dissimilarity);
+        candidates.truncate(2);
+        if candidates.is_empty() {
+            return Ok(());
+        }
+        let Self { evaluator, view, calibration, .. } = self;
+        let mut eyes = Eyes { evaluator, view, calibration, settings: &self.settings };
+        let found = places.find(&mut self.mapper, &mut eyes, frame, &candidates)?;
+        self.next_look = now + REST * u64::from(settings.look_every);
+        let Some(found) = found else { return Ok(()) };
+        let Keyframe { id, submap, .. } = found.candidate.keyframe;
+        let dissimilarity = found.candidate.dissimilarity;
+        happenings.push(Happening::ClosureTried { submap, keyframe: id, dissimilarity });
+        let there = found.tracked.world_from_camera;
+        let (moved_m, allowed_m) =
+            (moved(atlas, self.primary.submap, pose, submap, &there), atlas.drift_allowed_m(submap));
+        if moved_m > allowed_m {
+            let reason = format!(
+                "it would move the camera by {moved_m:.2} m, and tracking drifts by {allowed_m:.2} m at most \
+                 (submaps.max_drift)"
+            );
+            happenings.push(Happening::ClosureRefused { submap, reason });
+            return Ok(());
+        }
+        let local = self.new_local(submap)?;
+        let link = Link::new(self.primary.submap, submap, true);
+        let life = Life { failed: 0, trial: Some(Trial { tries: 0, successes: 0, link }) };
+        self.beside.push(Beside { local, life });
+        seen.push(Seen { pose: there, good: true });
+        Ok(())
+    }
+
+    /// A submap to be tracked in, which has not been looked at yet.
+    pub(crate) fn new_local(&self, submap: u16) -> Result<Local, Error> {
+        let tracker = &self.primary.tracker;
+        let mut local = Local::new(&self.device, &self.calibration, tracker, &self.needs, submap)?;
+        // The submap is as old as what it shows.
+        local.age = self.primary.age;
+        Ok(local)
+    }
+
+    /// Where the camera has left the middle of the primary, another active submap takes its place, or a new one begins.
+    fn choose_primary(
+        &mut self,
+        frame: &Frame,
+        pose: Se3,
+        seen: &mut Vec<Seen>,
+        happenings: &mut Vec<Happening>,
+    ) -> Result<Se3, Error> {
+        let camera = self.calibration.depth;
+        let far_m = f64::from(self.settings.view.max_depth_m);
+        let new_below = self.settings.submaps.new_below;
+        let from = self.primary.submap;
+        let Some(atlas) = &mut self.atlas else { return Ok(pose) };
+        if !atlas.has_central(from) || atlas.share_in_view(from, &camera, &pose, far_m) >= new_below {
+            return Ok(pose);
+        }
+        let settled = |at: &usize| {
+            let Beside { local, life } = &self.beside[*at];
+            life.trial.is_none() && seen[*at].good && atlas.is_measured(from, local.submap)
+        };
+        let share = |at: usize| atlas.share_in_view(self.beside[at].local.submap, &camera, &seen[at].pose, far_m);
+        let best = (0..self.beside.len()).filter(settled).max_by(|a, b| share(*a).total_cmp(&share(*b)));
+        if let Some(at) = best.filter(|at| share(*at) >= new_below) {
+            let to = self.beside[at].local.submap;
+            std::mem::swap(&mut self.primary, &mut self.beside[at].local);
+            self.beside[at].life = Life::default();
+            atlas.set_state(from, SubmapState::Active);
+            atlas.set_state(to, SubmapState::Primary);
+            happenings.push(Happening::Primary { submap: to, from });
+            return Ok(std::mem::replace(&mut seen[at].pose, pose));
+        }
+        // Not before the last one is tied to something.
+        let Some(submap) = atlas.begin(from, &pose) else { return Ok(pose) };
+        atlas.set_state(from, SubmapState::Active);
+        atlas.set_state(submap, SubmapState::Primary);
+        let mut local = self.new_local(submap)?;
+        local.age = Default::default();
+        local.motion = self.primary.motion.seen_from(&pose.inverse());
+        self.mapper.begin_submap();
+        let old = std::mem::replace(&mut self.primary, local);
+        self.beside.push(Beside { local: old, life: Life::default() });
+        seen.push(Seen { pose, good: true });
+        happenings.push(Happening::Submap { submap, from });
+        let _ = frame;
+        Ok(Se3::IDENTITY)
+    }
+
+    /// Leaves the submaps in which tracking has failed, and those that are too many.
+    fn leave(&mut self, seen: &mut Vec<Seen>, happenings: &mut Vec<Happening>) {
+        let camera = self.calibration.depth;
+        let far_m = f64::from(self.settings.view.max_depth_m);
+        let settings = &self.settings.submaps;
+        let Some(atlas) = &mut self.atlas else { return };
+        loop {
+            let failed = |beside: &Beside| beside.life.trial.is_none() && beside.life.failed >= settings.passive_after;
+            let mut gone = self.beside.iter().position(failed);
+            if gone.is_none() && self.beside.len() + 1 > settings.max_active as usize {
+                let share =
+                    |at: usize| atlas.share_in_view(self.beside[at].local.submap, &camera, &seen[at].pose, far_m);
+                let settled = (0..self.beside.len()).filter(|at| self.beside[*at].life.trial.is_none());
+                gone = settled.min_by(|a, b| share(*a).total_cmp(&share(*b)));
+            }
+            let Some(at) = gone else { return };
+            let submap = self.beside.remove(at).local.submap;
+            seen.remove(at);
+            atlas.set_state(submap, SubmapState::Passive);
+            happenings.push(Happening::Passive { submap });
+        }
+    }
+
+    /// The camera was found in a submap after a loss: it is the primary from here on.
+    pub(crate) fn return_to(&mut self, submap: u16, happenings: &mut Vec<Happening>) -> Result<(), Error> {
+        let from = self.primary.submap;
+        if submap == from {
+            return Ok(());
+        }
+        let known = self.beside.iter().position(|beside| beside.local.submap == submap);
+        let mut local = match known {
+            Some(at) => self.beside.remove(at).local,
+            None => self.new_local(submap)?,
+        };
+        local.tracker.learn(&self.primary.tracker.learnt());
+        self.primary = local;
+        // Where the camera was lost nobody knows how it got here.
+        let Some(atlas) = &mut self.atlas else { return Ok(()) };
+        atlas.set_state(from, SubmapState::Passive);
+        atlas.set_state(submap, SubmapState::Primary);
+        happenings.push(Happening::Passive { submap: from });
+        happenings.push(Happening::Primary { submap, from });
+        for gone in self.beside.drain(..) {
+            atlas.set_state(gone.local.submap, SubmapState::Passive);
+            happenings.push(Happening::Passive { submap: gone.local.submap });
+        }
+        Ok(())
+    }
+
+    /// Notes what the primary's first frame saw, once it was fused.
+    pub(crate) fn note_central(&mut self) -> Result<(), Error> {
+        let submap = self.primary.submap;
+        if let Some(atlas) = &mut self.atlas
+            && !atlas.has_central(submap)
+        {
+            atlas.set_central(submap, &self.mapper.block_centres(submap)?);
+        }
+        Ok(())
+    }
+}
+
+/// How far it is from where a camera is by one submap to where it is by another, in metres.
+fn moved(atlas: &Atlas, from: u16, from_from_camera: &Se3, to: u16, to_from_camera: &Se3) -> f64 {
+    let by = |submap, pose: &Se3| (atlas.world_from(submap) * *pose).translation;
+    by(from, from_from_camera).distance(by(to, to_from_camera))
+}
