@@ -10,6 +10,7 @@ use std::thread::JoinHandle;
 use glam::DVec3;
 use itm_core::{Intrinsics, Se3, StampedPose, SubmapSettings, Timestamp, Trajectory};
 use itm_graph::{Edge, NodeId, Options, PoseGraph, information};
+use itm_io::map_file::{SubmapPose, SubmapState};
 use serde::{Deserialize, Serialize};
 
 use crate::happening::{Happening, Optimised};
@@ -18,18 +19,6 @@ use crate::link::{Link, Observation};
 /// How well a submap's place is known before it is measured, as standard deviations: it begins at the camera's pose in the one
 /// before.
 const AT_BIRTH: [f64; 2] = [0.02, 0.01];
-
-/// Whether the camera is tracked in a submap.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum SubmapState {
-    /// It is, and frames are fused into it.
-    Primary,
-    /// It is.
-    Active,
-    /// It is not.
-    Passive,
-}
 
 /// A rigid part of the map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -134,6 +123,8 @@ pub(crate) struct AtlasState {
     submaps: Vec<Submap>,
     links: Vec<Link>,
     frames: Vec<(i64, u16, Se3)>,
+    /// The poses in the world as they were found.
+    live: Vec<Se3>,
 }
 
 impl Atlas {
@@ -336,15 +327,32 @@ impl Atlas {
 
     /// The frames' poses as the submaps lie now.
     pub(crate) fn trajectory(&self) -> Trajectory {
+        self.trajectory_with(|submap| self.world_from(submap))
+    }
+
+    /// The frames' poses where the submaps lie otherwise.
+    pub(crate) fn trajectory_with(&self, world_from: impl Fn(u16) -> Se3) -> Trajectory {
         let pose = |(timestamp, submap, pose): &(Timestamp, u16, Se3)| StampedPose {
             timestamp: *timestamp,
-            world_from_camera: self.world_from(*submap) * *pose,
+            world_from_camera: world_from(*submap) * *pose,
         };
         self.frames.iter().map(pose).collect()
     }
 
+    /// Where each submap lies once all that is known is taken over; nothing is changed by it.
+    pub(crate) fn settled(&self) -> Vec<SubmapPose> {
+        let solved = self.graph().ok().and_then(|graph| RunResult::begin(graph).wait());
+        let poses = solved.map(|(poses, _)| poses).unwrap_or_default();
+        let submap = |(number, submap): (usize, &Submap)| SubmapPose {
+            submap: number as u16,
+            world_from_submap: poses.get(number).copied().unwrap_or(submap.world_from_submap),
+            state: submap.state,
+        };
+        self.submaps.iter().enumerate().map(submap).collect()
+    }
+
     /// Waits for what runs. Its result is still taken over at its frame.
-    pub(crate) fn state(&mut self) -> AtlasState {
+    pub(crate) fn state(&mut self, live: &Trajectory) -> AtlasState {
         let running = self.running.take().map(|running| (running.due, running.result.wait()));
         self.running = running.clone().map(|(due, solved)| Running { due, result: RunResult::Here(solved) });
         AtlasState {
@@ -354,12 +362,17 @@ impl Atlas {
             submaps: self.submaps.clone(),
             links: self.links.values().cloned().collect(),
             frames: self.frames.iter().map(|(time, submap, pose)| (time.0, *submap, *pose)).collect(),
+            live: live.poses().iter().map(|pose| pose.world_from_camera).collect(),
         }
     }
 
-    pub(crate) fn from_state(settings: &SubmapSettings, state: AtlasState) -> Self {
-        let AtlasState { way_m, unused, running, submaps, links, frames } = state;
-        Self {
+    /// With the poses in the world as they were found.
+    pub(crate) fn from_state(settings: &SubmapSettings, state: AtlasState) -> (Self, Trajectory) {
+        let AtlasState { way_m, unused, running, submaps, links, frames, live } = state;
+        let found = frames.iter().zip(live);
+        let live = found.map(|((time, ..), pose)| StampedPose { timestamp: Timestamp(*time), world_from_camera: pose });
+        let live = live.collect();
+        let atlas = Self {
             settings: settings.clone(),
             submaps,
             links: links.into_iter().map(|link| ((link.from, link.to), link)).collect(),
@@ -367,6 +380,28 @@ impl Atlas {
             way_m,
             unused,
             running: running.map(|(due, solved)| Running { due, result: RunResult::Here(solved) }),
+        };
+        (atlas, live)
+    }
+
+    /// For a new session in the same submaps, none of which the camera is known to be in.
+    pub(crate) fn afresh(mut self) -> Self {
+        self.frames.clear();
+        self.running = None;
+        for submap in &mut self.submaps {
+            submap.state = SubmapState::Passive;
+            submap.left_at_m = self.way_m;
         }
+        self
+    }
+
+    /// The submap that a camera (world frame) sees most of the middle of.
+    pub(crate) fn seen_best_from(&self, camera: &Intrinsics, world_from_camera: &Se3, max_depth_m: f64) -> u16 {
+        let share = |number: u16| {
+            let pose = self.world_from(number).inverse() * *world_from_camera;
+            self.share_in_view(number, camera, &pose, max_depth_m)
+        };
+        // Of equal ones the first.
+        (0..self.submaps.len() as u16).rev().max_by(|a, b| share(*a).total_cmp(&share(*b))).unwrap_or(0)
     }
 }

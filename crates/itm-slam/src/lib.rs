@@ -46,13 +46,14 @@ mod swapping;
 pub mod tracking;
 mod views;
 
-pub use atlas::{Submap, SubmapLink, SubmapState};
+pub use atlas::{Submap, SubmapLink};
 pub use chunked_mesh::{MeshOptions, mesh_blocks, mesh_in_chunks, with_neighbours};
 pub use combined::Combined;
 pub use decimate::{DecimateError, decimate};
 pub use error::Error;
 pub use frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
 pub use happening::{Happening, Optimised};
+pub use itm_io::map_file::SubmapState;
 pub use saved::SavedMap;
 pub use saving::{SavedSession, settings_of};
 pub use session::{Event, Session, SessionOptions, Start, Summary};

@@ -33,7 +33,7 @@ pub(crate) struct Local {
 /// A [`Local`]'s state on the host as it is saved.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct LocalState {
-    submap: u16,
+    pub(crate) submap: u16,
     fused_frames: u64,
     to_recover: u32,
     submap_from_model: Option<Se3>,

@@ -14,7 +14,7 @@ use crate::Error;
 use crate::happening::Happening;
 use crate::local::{Eyes, Local, Needs};
 use crate::mapper::Mapper;
-use crate::tracking::{Tracked, Tracker, Verdict};
+use crate::tracking::{Learnt, Tracked, Tracker, Verdict};
 
 /// Poses around a keyframe's from which tracking sets out, of all that are compared at the coarsest level.
 const SEARCHED: usize = 4;
@@ -29,8 +29,9 @@ pub(crate) struct Places {
     reader: Option<SmallReader>,
     /// The current frame's view.
     view: Option<SmallView>,
-    /// Tracking from a candidate's pose.
+    /// Tracking from a candidate's pose, and what it has learnt before any.
     trial: Local,
+    unlearnt: Learnt,
     candidates: usize,
     min_inlier_share: f64,
 }
@@ -76,6 +77,7 @@ impl Places {
             ),
             reader: None,
             view: None,
+            unlearnt: tracker.learnt(),
             trial: Local::new(device, calibration, &tracker, &Needs::nothing(), 0)?,
             candidates: own.candidates as usize,
             min_inlier_share: own.min_inlier_share,
@@ -142,6 +144,8 @@ impl Places {
         frame: &Frame,
         candidates: &[Candidate],
     ) -> Result<Option<Found>, Error> {
+        // What was learnt at other places must not tell one try from another.
+        self.trial.tracker.learn(&self.unlearnt);
         let mut led = Vec::new();
         for candidate in candidates {
             let pose = candidate.keyframe.submap_from_camera;

@@ -13,8 +13,10 @@ use itm_gpu::{Device, HostBlock, MapState};
 use itm_io::map_file::{MapHeader, MapReader, MapWriter, Tag, tag};
 use serde::{Deserialize, Serialize};
 
-use crate::local::LocalState;
+use crate::atlas::{Atlas, AtlasState};
+use crate::local::{Local, LocalState};
 use crate::mapper::MapperState;
+use crate::submaps::{Beside, Life};
 use crate::{Error, Poses, Slam};
 
 /// What a session needs beside its map to go on.
@@ -33,12 +35,10 @@ const HOST_CHANGED: Tag = *b"CHHS";
 const LEFT_CHANGED: Tag = *b"CHLF";
 /// Blocks of the host's store that are on the device already; what counts is there.
 const BACK: Tag = *b"BACK";
-/// Points and normals of the model that the next frame is tracked against.
-const MODEL: Tag = *b"MODL";
+/// What is known of the submaps, links between them and the frames' poses in them.
+const ATLAS: Tag = *b"ATLS";
 /// Keyframes, as the relocaliser writes them.
 const KEYFRAMES: Tag = *b"KEYF";
-/// Points with the colours of the frame before, and of the map.
-const LISTS: [Tag; 2] = [*b"LSTP", *b"LSTM"];
 
 /// The host's part of what a session needs beside its map.
 #[derive(Debug, Serialize, Deserialize)]
@@ -46,6 +46,8 @@ struct State {
     poses_given: bool,
     next_frame: u64,
     primary: LocalState,
+    beside: Vec<(LocalState, Life)>,
+    next_look: u64,
     mapper: MapperState,
 }
 
@@ -96,6 +98,24 @@ fn read_state(reader: &mut MapReader, path: &Path) -> Result<State, Error> {
     toml::from_str(&text).map_err(|e| unfit(e.to_string()))
 }
 
+fn read_atlas(reader: &mut MapReader, path: &Path) -> Result<Option<AtlasState>, Error> {
+    if !reader.has(ATLAS) {
+        return Ok(None);
+    }
+    let unfit = |reason: String| Error::SavedState { path: path.to_path_buf(), reason };
+    let text = String::from_utf8(reader.bytes(ATLAS)?).map_err(|e| unfit(e.to_string()))?;
+    toml::from_str(&text).map(Some).map_err(|e| unfit(e.to_string()))
+}
+
+/// The sections of what the next frame is tracked against, in the primary submap and in those beside it: points and normals,
+/// points with the colours of the frame before, and with those of the map.
+fn sections_of(place: usize) -> [Tag; 3] {
+    match u8::try_from(place) {
+        Ok(0) | Err(_) => [*b"MODL", *b"LSTP", *b"LSTM"],
+        Ok(place) => [b"MO", b"LP", b"LM"].map(|[a, b]| [*a, *b, b'0' + place / 10, b'0' + place % 10]),
+    }
+}
+
 /// Numbers as bytes, least significant first.
 fn to_bytes(words: impl IntoIterator<Item = u32>) -> Vec<u8> {
     words.into_iter().flat_map(u32::to_le_bytes).collect()
@@ -120,6 +140,8 @@ impl Slam {
             poses_given: self.poses == Poses::Given,
             next_frame: self.next_frame,
             primary: self.primary.state(),
+            beside: self.beside.iter().map(|beside| (beside.local.state(), beside.life.clone())).collect(),
+            next_look: self.next_look,
             mapper: self.mapper.state()?,
         };
         let on_device = self.mapper.map.read_state()?;
@@ -160,9 +182,19 @@ impl Slam {
                 Ok(())
             })?;
         }
-        writer.trajectory(&self.trajectory)?;
-        let text = toml::to_string(&state)
-            .map_err(|e| Error::SavedState { path: path.to_path_buf(), reason: e.to_string() })?;
+        let unfit = |e: toml::ser::Error| Error::SavedState { path: path.to_path_buf(), reason: e.to_string() };
+        match &mut self.atlas {
+            None => writer.trajectory(&self.trajectory)?,
+            Some(atlas) => {
+                let submaps = atlas.settled();
+                let world_from = |submap: u16| submaps[usize::from(submap)].world_from_submap;
+                writer.trajectory(&atlas.trajectory_with(world_from))?;
+                writer.submaps(&submaps)?;
+                let text = toml::to_string(&atlas.state(&self.trajectory)).map_err(unfit)?;
+                writer.bytes(ATLAS, text.as_bytes())?;
+            }
+        }
+        let text = toml::to_string(&state).map_err(unfit)?;
         writer.bytes(STATE, text.as_bytes())?;
         writer.bytes(COUNTERS, &to_bytes(on_device.counters))?;
         writer.bytes(FREE_BLOCKS, &to_bytes(on_device.free_blocks))?;
@@ -181,10 +213,13 @@ impl Slam {
         if let Some(places) = &self.places {
             writer.bytes(KEYFRAMES, &places.relocaliser.save())?;
         }
-        writer.bytes(MODEL, &self.primary.model.image.read_bytes(&self.device)?)?;
-        for (tag, list) in LISTS.iter().zip(&self.primary.lists) {
-            if let Some(list) = list {
-                writer.bytes(*tag, &list.read_bytes(&self.device)?)?;
+        for (place, local) in self.locals().enumerate() {
+            let [model, lists @ ..] = sections_of(place);
+            writer.bytes(model, &local.model.image.read_bytes(&self.device)?)?;
+            for (tag, list) in lists.into_iter().zip(&local.lists) {
+                if let Some(list) = list {
+                    writer.bytes(tag, &list.read_bytes(&self.device)?)?;
+                }
             }
         }
         Ok(writer.finish()?)
@@ -267,17 +302,35 @@ impl Slam {
             })?;
         }
         slam.mapper.set_state(&mut state.mapper, left, kind.block_words());
-        slam.primary.model.image.write_bytes(device, &reader.bytes(MODEL)?)?;
-        for (tag, list) in LISTS.iter().zip(&slam.primary.lists) {
-            if let Some(list) = list {
-                list.write_bytes(device, &reader.bytes(*tag)?)?;
+        for (state, life) in state.beside {
+            let mut local = slam.new_local(state.submap)?;
+            local.set_state(state);
+            slam.beside.push(Beside { local, life });
+        }
+        slam.primary.set_state(state.primary);
+        for (place, local) in slam.locals().enumerate() {
+            let [model, lists @ ..] = sections_of(place);
+            local.model.image.write_bytes(device, &reader.bytes(model)?)?;
+            for (tag, list) in lists.into_iter().zip(&local.lists) {
+                if let Some(list) = list {
+                    list.write_bytes(device, &reader.bytes(tag)?)?;
+                }
             }
         }
         slam.trajectory = reader.trajectory()?;
+        if let Some(state) = read_atlas(&mut reader, path)? {
+            let (atlas, live) = Atlas::from_state(&settings.submaps, state);
+            (slam.atlas, slam.trajectory) = (Some(atlas), live);
+        }
         slam.load_keyframes(&mut reader)?;
         slam.next_frame = state.next_frame;
-        slam.primary.set_state(state.primary);
+        slam.next_look = state.next_look;
         Ok(slam)
+    }
+
+    /// Tracking in the primary submap, then in those beside it.
+    fn locals(&self) -> impl Iterator<Item = &Local> {
+        std::iter::once(&self.primary).chain(self.beside.iter().map(|beside| &beside.local))
     }
 
     /// Takes in a map's keyframes, where it has any and the settings ask for a relocaliser.
@@ -323,16 +376,23 @@ impl Slam {
         }
         // What the map shows was observed as often as its weights say.
         slam.primary.age.frames = frames;
+        let submaps = reader.submaps()?.len();
+        if submaps > 1 && slam.atlas.is_none() {
+            differs("submaps:", submaps.to_string(), format!("mode = \"{}\"", settings.mode.name()))?;
+        }
+        if let (Some(state), Some(_)) = (read_atlas(&mut reader, path)?, &slam.atlas) {
+            slam.atlas = Some(Atlas::from_state(&settings.submaps, state).0.afresh());
+        }
         match (slam.load_keyframes(&mut reader), world_from_camera) {
             (Ok(()), None) => {
                 if slam.places.as_ref().is_none_or(|places| places.relocaliser.keyframes().is_empty()) {
                     return Err(Error::NoKeyframes { path: path.to_path_buf() });
                 }
             }
-            (Ok(()), Some(pose)) => slam.start_at(pose)?,
+            (Ok(()), Some(pose)) => slam.start_in_world(pose)?,
             (Err(Error::Relocaliser(error)), Some(pose)) => {
                 tracing::warn!("the keyframes of '{}' are left out: {error}", path.display());
-                slam.start_at(pose)?;
+                slam.start_in_world(pose)?;
             }
             (Err(error), _) => return Err(error),
         }

@@ -9,6 +9,7 @@ use itm_gpu::mesh::Extract;
 use itm_gpu::render::{Render, Scale, Shading};
 use itm_gpu::view::{ViewOptions, ViewStage};
 use itm_gpu::{Device, Recorder, StageTimes, View};
+use itm_io::map_file::SubmapState;
 
 use crate::Error;
 use crate::atlas::Atlas;
@@ -338,7 +339,18 @@ impl Slam {
         Ok(Some(Located { status, tracked: Some(found.tracked), pose, fuse, happenings }))
     }
 
-    /// Tracking begins at a pose in the map.
+    /// Tracking begins at a pose in the world.
+    pub(crate) fn start_in_world(&mut self, world_from_camera: &Se3) -> Result<(), Error> {
+        let far_m = f64::from(self.settings.view.max_depth_m);
+        let Some(atlas) = &mut self.atlas else { return self.start_at(world_from_camera) };
+        let submap = atlas.seen_best_from(&self.calibration.depth, world_from_camera, far_m);
+        atlas.set_state(submap, SubmapState::Primary);
+        self.primary.submap = submap;
+        let pose = atlas.world_from(submap).inverse() * *world_from_camera;
+        self.start_at(&pose)
+    }
+
+    /// Tracking begins at a pose in the primary submap.
     pub(crate) fn start_at(&mut self, world_from_camera: &Se3) -> Result<(), Error> {
         self.mapper.cast_for_tracking(self.primary.submap, &mut self.primary.model, world_from_camera)?;
         self.primary.submap_from_model = Some(*world_from_camera);

@@ -3,10 +3,11 @@
 //! one begins where the camera leaves its middle, and passive ones become active again where the camera comes back.
 
 use itm_core::{Frame, Se3};
+use itm_io::map_file::SubmapState;
 use itm_reloc::Keyframe;
 use serde::{Deserialize, Serialize};
 
-use crate::atlas::{Atlas, Submap, SubmapLink, SubmapState};
+use crate::atlas::{Atlas, Submap, SubmapLink};
 use crate::happening::Happening;
 use crate::link::{Link, Observation};
 use crate::local::{Eyes, Local};

@@ -93,6 +93,7 @@ impl SubmapSettings {
                 value,
             )?;
         }
+        check(self.max_active <= 64, "submaps.max_active", "at most 64", self.max_active)?;
         let enough = self.closure_successes <= self.closure_tries;
         check(enough, "submaps.closure_successes", "at most submaps.closure_tries", self.closure_successes)?;
         for (key, share) in [

@@ -2,6 +2,7 @@ use std::collections::HashSet;
 
 use glam::{DQuat, DVec3};
 use itm_core::{PoseError, Se3};
+use serde::{Deserialize, Serialize};
 
 use super::{POSE_BYTES, le};
 
@@ -17,7 +18,8 @@ pub struct SubmapPose {
 }
 
 /// What a submap is to a session (Kähler et al. 2016, section 3).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum SubmapState {
     /// Kept, but not tracked against.
     #[default]
