@@ -8,8 +8,7 @@ use itm_tests::{device, sequence};
 
 /// Small voxels' worth of map for small images.
 fn settings(mode: Mode) -> Settings {
-    let mut settings = Settings::default();
-    settings.mode = mode;
+    let mut settings = Settings { mode, ..Settings::default() };
     settings.map.voxel_size_m = 0.02;
     settings.map.truncation_m = 0.08;
     settings.map.initial_blocks = 256;

@@ -51,10 +51,8 @@ pub enum Happening {
     ClosureTried {
         /// Its number.
         submap: u16,
-        /// The keyframe whose view was alike.
-        keyframe: u32,
-        /// How little alike: 0 to 1.
-        dissimilarity: f64,
+        /// The keyframe whose view was alike; `None` where it was tried because the camera should be there.
+        keyframe: Option<u32>,
     },
     /// The camera is back in a submap, which is active again.
     ClosureAccepted {
@@ -102,9 +100,10 @@ impl std::fmt::Display for Happening {
             Self::Primary { submap, from } => write!(f, "submap {submap} is the primary again, after submap {from}"),
             Self::Passive { submap } => write!(f, "submap {submap} is passive"),
             Self::Linked { from, to } => write!(f, "submap {to} was measured in submap {from}"),
-            Self::ClosureTried { submap, keyframe, dissimilarity } => {
-                write!(f, "looks like keyframe {keyframe} of submap {submap} (dissimilarity {dissimilarity:.2})")
+            Self::ClosureTried { submap, keyframe: Some(keyframe) } => {
+                write!(f, "looks like keyframe {keyframe} of submap {submap}")
             }
+            Self::ClosureTried { submap, keyframe: None } => write!(f, "should be back in submap {submap}"),
             Self::ClosureAccepted { from, to, moved_m } => {
                 write!(f, "back in submap {to}, which lies {moved_m:.3} m from where submap {from} had it")
             }

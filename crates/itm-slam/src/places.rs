@@ -156,12 +156,28 @@ impl Places {
         led.sort_by(|(_, a), (_, b)| a.chance_wrong.total_cmp(&b.chance_wrong));
         let mut best: Option<Found> = None;
         for (candidate, tracked) in led.into_iter().take(FOLLOWED_UP) {
-            let Some(tracked) = self.follow_up(mapper, eyes, frame, &candidate, tracked)? else { continue };
+            let submap = candidate.keyframe.submap;
+            let Some(tracked) = self.follow_up(mapper, eyes, frame, submap, tracked)? else { continue };
             if best.as_ref().is_none_or(|best| tracked.chance_wrong < best.tracked.chance_wrong) {
                 best = Some(Found { candidate, tracked });
             }
         }
         Ok(best)
+    }
+
+    /// Finds the frame in a submap near where it is expected.
+    pub(crate) fn find_near(
+        &mut self,
+        mapper: &mut Mapper,
+        eyes: &mut Eyes<'_>,
+        frame: &Frame,
+        submap: u16,
+        submap_from_camera: &Se3,
+    ) -> Result<Option<Tracked>, Error> {
+        self.trial.tracker.learn(&self.unlearnt);
+        self.look_from(mapper, submap, submap_from_camera)?;
+        let tracked = self.trial.track_from(eyes, frame, &[*submap_from_camera])?.expect("there is a model");
+        self.follow_up(mapper, eyes, frame, submap, tracked)
     }
 
     /// Tracks again from where tracking led, with the map as seen from there, until all that the frame shows agrees with it;
@@ -171,16 +187,15 @@ impl Places {
         mapper: &mut Mapper,
         eyes: &mut Eyes<'_>,
         frame: &Frame,
-        candidate: &Candidate,
+        submap: u16,
         mut tracked: Tracked,
     ) -> Result<Option<Tracked>, Error> {
         for round in 0..ROUNDS {
             let pose = tracked.estimate;
-            self.look_from(mapper, candidate.keyframe.submap, &pose)?;
+            self.look_from(mapper, submap, &pose)?;
             let next = self.trial.track_from(eyes, frame, &[pose])?.expect("there is a model");
-            let Candidate { keyframe: Keyframe { id, .. }, dissimilarity } = *candidate;
             let (verdict, share) = (next.verdict.name(), next.inlier_share);
-            tracing::debug!(id, dissimilarity, round, verdict, next.chance_wrong, share, "a keyframe's place is tried");
+            tracing::debug!(submap, round, verdict, next.chance_wrong, share, "a place is tried");
             if next.verdict == Verdict::Good {
                 return Ok((next.inlier_share >= self.min_inlier_share).then_some(next));
             }

@@ -11,11 +11,20 @@ use crate::atlas::{Atlas, Submap, SubmapLink};
 use crate::happening::Happening;
 use crate::link::{Link, Observation};
 use crate::local::{Eyes, Local};
+use crate::places::Found;
 use crate::tracking::{Tracked, Verdict};
 use crate::{Error, Slam};
 
 /// After a look at passive submaps that led nowhere, so many of `submaps.look_every` pass until the next.
-const REST: u64 = 6;
+const REST: u64 = 3;
+/// Keyframes that are looked at for a closure, and how near the camera must be to theirs, in metres and radians.
+const LOOKED_AT: usize = 2;
+const NEAR_M: f64 = 1.0;
+const NEAR_RAD: f64 = 0.7;
+/// Up to so much drift (metres) a passive submap is looked for where it should be, with at least this share of its middle in
+/// view.
+const SURE_M: f64 = 0.5;
+const LEAST_SHARE: f64 = 0.3;
 
 /// An active submap beside the primary, or one on trial.
 #[derive(Debug)]
@@ -218,25 +227,48 @@ impl Slam {
         if on_trial || now < self.next_look || !now.is_multiple_of(settings.look_every.into()) {
             return Ok(());
         }
-        let passive = |keyframe: &Keyframe| {
-            usize::from(keyframe.submap) < atlas.submaps.len()
-                && atlas.submap(keyframe.submap).state == SubmapState::Passive
+        let world_from_camera = atlas.world_from(self.primary.submap) * *pose;
+        // Of passive submaps those that the camera can see much of, unless tracking has drifted more than it does: what looks
+        // alike elsewhere would come before them.
+        let may_be_here = |keyframe: &Keyframe| {
+            let Keyframe { submap, submap_from_camera, .. } = keyframe;
+            if usize::from(*submap) >= atlas.submaps.len() || atlas.submap(*submap).state != SubmapState::Passive {
+                return false;
+            }
+            let off = (atlas.world_from(*submap) * *submap_from_camera).inverse() * world_from_camera;
+            off.translation.length() <= atlas.drift_allowed_m(*submap) + NEAR_M && off.angle() <= NEAR_RAD
         };
-        let mut candidates = places.candidates(&self.device, &passive)?;
+        let far_m = f64::from(self.settings.view.max_depth_m);
+        let expected = |submap: u16| atlas.world_from(submap).inverse() * world_from_camera;
+        let in_view = |submap: u16| atlas.share_in_view(submap, &self.calibration.depth, &expected(submap), far_m);
+        // Where tracking cannot have drifted far, the camera is where it is thought to be, whatever the view resembles.
+        let near = (0..atlas.submaps.len() as u16)
+            .filter(|submap| atlas.submap(*submap).state == SubmapState::Passive)
+            .filter(|submap| atlas.drift_allowed_m(*submap) <= SURE_M)
+            .map(|submap| (in_view(submap), submap))
+            .filter(|(share, _)| *share >= settings.new_below.max(LEAST_SHARE))
+            .max_by(|(a, _), (b, _)| a.total_cmp(b));
+        let mut candidates = places.candidates(&self.device, &may_be_here)?;
         candidates.retain(|candidate| candidate.dissimilarity <= settings.max_dissimilarity);
-        candidates.truncate(2);
-        if candidates.is_empty() {
+        candidates.truncate(LOOKED_AT);
+        if candidates.is_empty() && near.is_none() {
             return Ok(());
         }
-        let Self { evaluator, view, calibration, .. } = self;
-        let mut eyes = Eyes { evaluator, view, calibration, settings: &self.settings };
-        let found = places.find(&mut self.mapper, &mut eyes, frame, &candidates)?;
         self.next_look = now + REST * u64::from(settings.look_every);
-        let Some(found) = found else { return Ok(()) };
-        let Keyframe { id, submap, .. } = found.candidate.keyframe;
-        let dissimilarity = found.candidate.dissimilarity;
-        happenings.push(Happening::ClosureTried { submap, keyframe: id, dissimilarity });
-        let there = found.tracked.world_from_camera;
+        let Self { evaluator, view, calibration, mapper, .. } = self;
+        let mut eyes = Eyes { evaluator, view, calibration, settings: &self.settings };
+        let mut found = None;
+        if let Some((_, submap)) = near {
+            let tracked = places.find_near(mapper, &mut eyes, frame, submap, &expected(submap))?;
+            found = tracked.map(|tracked| (submap, None, tracked.world_from_camera));
+        }
+        if found.is_none()
+            && let Some(Found { candidate, tracked }) = places.find(mapper, &mut eyes, frame, &candidates)?
+        {
+            found = Some((candidate.keyframe.submap, Some(candidate.keyframe.id), tracked.world_from_camera));
+        }
+        let Some((submap, keyframe, there)) = found else { return Ok(()) };
+        happenings.push(Happening::ClosureTried { submap, keyframe });
         let (moved_m, allowed_m) =
             (moved(atlas, self.primary.submap, pose, submap, &there), atlas.drift_allowed_m(submap));
         if moved_m > allowed_m {

@@ -58,7 +58,7 @@ impl Default for SubmapSettings {
             link_huber: 0.1,
             link_inliers: 0.8,
             look_every: 5,
-            max_dissimilarity: 0.2,
+            max_dissimilarity: 0.35,
             closure_tries: 20,
             closure_successes: 10,
             max_drift: 0.05,
