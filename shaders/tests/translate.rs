@@ -130,10 +130,9 @@ fn passes_with_features_have_a_variant_for_each() {
     for pass in ["confidence", "render/colour", "photometric/map"] {
         assert_eq!(features(pass), pages, "{pass}");
     }
-    let floats = pages.map(|pages| [&["f32"], pages].concat());
-    let raycast = features("raycast");
-    assert_eq!(raycast[..4], pages);
-    assert!(raycast[4..].iter().eq(&floats));
+    let kinds: [&[&str]; 4] = [&[], &["listed"], &["f32"], &["f32", "listed"]];
+    let raycast = kinds.iter().flat_map(|kind| pages.map(|pages| [kind, pages].concat()));
+    assert!(features("raycast").into_iter().map(<[_]>::to_vec).eq(raycast));
     assert_eq!(features("integrate").len(), 16);
     assert_eq!(features("mesh/vertices").len(), 8);
 }

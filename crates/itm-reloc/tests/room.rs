@@ -85,10 +85,10 @@ fn is_near(a: &Se3, b: &Se3) -> bool {
     between.translation.length() < 0.5 && between.angle() < 0.5
 }
 
-/// The settings for one map, and those for closing loops.
+/// The report's settings for one map, and those for closing loops.
 fn both_settings() -> [RelocaliserSettings; 2] {
-    let basic = RelocaliserSettings::default();
-    [basic.clone(), RelocaliserSettings { ferns: 1000, min_dissimilarity: 0.1, ..basic }]
+    let loops = RelocaliserSettings { ferns: 1000, min_dissimilarity: 0.1, ..RelocaliserSettings::default() };
+    [RelocaliserSettings { ferns: 500, min_dissimilarity: 0.2, ..loops.clone() }, loops]
 }
 
 #[test]
