@@ -83,6 +83,11 @@ fn a_loop_is_closed_and_two_runs_give_the_same_bytes() {
     let (lo, hi) = mesh.bounds().expect("vertices");
     let (basic_lo, basic_hi) = of_basic.bounds().expect("vertices");
     assert!(lo.distance(basic_lo) < 0.3 && hi.distance(basic_hi) < 0.3, "{lo} to {hi}, but {basic_lo} to {basic_hi}");
+    // So they are for questions about distances: a mesh's vertices lie on the surface, in the world.
+    let some: Vec<_> = mesh.positions.iter().step_by(mesh.positions.len() / 500).copied().collect();
+    let known: Vec<f32> = slam.distances(&some).expect("an answer").into_iter().flatten().collect();
+    let near = known.iter().filter(|metres| metres.abs() < 0.01).count();
+    assert!(known.len() > some.len() * 9 / 10 && near > known.len() * 95 / 100, "{near} of {}", known.len());
     let camera = sequence.calibration().depth;
     let pose = slam.corrected_trajectory().poses()[200].world_from_camera;
     let picture = slam.render(&camera, &pose, 4.0, Shading::Colour).expect("a picture");

@@ -5,7 +5,7 @@
 
 use std::collections::{BTreeSet, HashMap};
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use itm_core::Mesh;
 use itm_core::sample::{Cell, Sample, block_of, distance_in_block};
 use itm_core::voxel::BlockKey;
@@ -31,13 +31,26 @@ impl Questions {
     fn new(device: &Device, layout: MapLayout) -> Result<Self, Error> {
         Ok(Self { query: Query::new(device), part: BlockMap::new(device, layout, 1)? })
     }
+
+    /// What a submap says of points in its frame.
+    fn of_submap(&self, slam: &Slam, submap: u16, points: &[Vec3]) -> Result<Vec<Option<Sample>>, Error> {
+        // Of handles.
+        let mut map = slam.mapper.map.clone();
+        map.look_at(submap);
+        let mut samples = self.query.run(&map, points)?;
+        let mut blocks = slam.mapper.live_map()?;
+        if !blocks.is_on_device() {
+            blocks.answer(submap, points, &mut samples)?;
+        }
+        Ok(samples)
+    }
 }
 
 impl LiveMap<'_> {
     /// Answers the points for which the device lacks a block, or a part of one, that the host has.
-    fn answer(&mut self, points: &[Vec3], samples: &mut [Option<Sample>]) -> Result<(), Error> {
+    fn answer(&mut self, submap: u16, points: &[Vec3], samples: &mut [Option<Sample>]) -> Result<(), Error> {
         let MapLayout { voxel_size_m, truncation_m, kind } = self.layout();
-        let key = |position| BlockKey { submap: 0, position };
+        let key = |position| BlockKey { submap, position };
         let mut asked = Vec::new();
         for (index, point) in points.iter().enumerate() {
             let cell = Cell::around(*point, voxel_size_m);
@@ -68,7 +81,7 @@ impl Slam {
     /// surfaces, negative behind them. Blocks that have left the device are asked too. Waits.
     ///
     /// `None` where one of the eight voxels around the point was never seen, and where the point is no number or out of the
-    /// map's reach. The map keeps blocks around surfaces only: there is no answer in free space that is further from all
+    /// map's reach. With several submaps it is the mean of what they say. The map keeps blocks around surfaces only: there is no answer in free space that is further from all
     /// surfaces than their blocks reach either, nor behind a surface beyond the truncation band. Distances are truncated: within
     /// the blocks, what is further than `map.truncation_m` from a surface has that value. They were measured along the
     /// cameras' rays, and are therefore rather too large in front of surfaces that were seen from the side only.
@@ -114,12 +127,28 @@ impl Slam {
     /// As [`Slam::distances`].
     pub fn samples(&mut self, points: &[Vec3]) -> Result<Vec<Option<Sample>>, Error> {
         self.ask(|questions, slam| {
-            let mut samples = questions.query.run(&slam.mapper.map, points)?;
-            let mut blocks = slam.mapper.live_map()?;
-            if !blocks.is_on_device() {
-                blocks.answer(points, &mut samples)?;
+            let poses = slam.submap_poses();
+            if let [(submap, _)] = poses[..] {
+                return questions.of_submap(slam, submap, points);
             }
-            Ok(samples)
+            let mut sums = vec![(0.0_f64, DVec3::ZERO, 0.0_f64); points.len()];
+            for (submap, world_from_submap) in poses {
+                let submap_from_world = world_from_submap.inverse();
+                let there = |point: &Vec3| submap_from_world.transform_point(point.as_dvec3()).as_vec3();
+                let seen = questions.of_submap(slam, submap, &points.iter().map(there).collect::<Vec<_>>())?;
+                for ((distance, gradient, count), sample) in sums.iter_mut().zip(seen) {
+                    let Some(sample) = sample else { continue };
+                    *distance += f64::from(sample.distance_m);
+                    *gradient += world_from_submap.transform_vector(sample.gradient.as_dvec3());
+                    *count += 1.0;
+                }
+            }
+            let mean = |(distance, gradient, count): (f64, DVec3, f64)| {
+                let of_all =
+                    || Sample { distance_m: (distance / count) as f32, gradient: (gradient / count).as_vec3() };
+                (count > 0.0).then(of_all)
+            };
+            Ok(sums.into_iter().map(mean).collect())
         })
     }
 
@@ -166,7 +195,8 @@ impl Slam {
         Ok(found.into_iter().map(BlockKey::unpack).collect())
     }
 
-    /// The surface in some blocks as a mesh (world frame, metres): the triangles of just their cells, wherever the blocks and
+    /// The surface in some blocks as a mesh (metres, in the frame of the blocks' submap, which is the world's where there is one
+    /// submap; ask for one submap's at a time): the triangles of just their cells, wherever the blocks and
     /// those around them lie. Keys of blocks that are not there are passed over. Device memory for the blocks and those around
     /// them, at most that of [`MeshOptions::max_blocks`] by default, is kept for the next time. Waits.
     ///
