@@ -4,7 +4,7 @@ use itm_slam::{
     Device, FrameStatus, Happening, Mode, Poses, SavedMap, SavedSession, Se3, Settings, Shading, Slam, SubmapState,
 };
 use itm_synth::{DepthNoise, Path, Sequence, Spec};
-use itm_tests::{device, sequence};
+use itm_tests::device;
 
 /// Small voxels' worth of map for small images.
 fn settings(mode: Mode) -> Settings {
@@ -39,20 +39,20 @@ fn worst_m(slam: &Slam, sequence: &Sequence) -> f64 {
     found.poses().iter().zip(&truth).map(off).fold(0.0, f64::max)
 }
 
-/// Once around the room and on: the camera comes back to where it began.
+/// Once around the room in 240 frames and on: the camera comes back to where it began.
 fn around(frames: u32) -> Sequence {
     let spec = Spec::new(Path::Loop).with_size(160, 120).with_noise(DepthNoise::KINECT, 5).with_frames(frames);
-    Sequence::new(spec).expect("a valid specification")
+    Sequence::new(Spec { duration_s: 8.0, ..spec }).expect("a valid specification")
 }
 
 #[test]
 fn a_loop_is_closed_and_two_runs_give_the_same_bytes() {
     let Some(device) = device() else { return };
-    let sequence = around(530);
+    let sequence = around(290);
     let folder = tempfile::tempdir().expect("a folder");
     let run = |name: &str| {
         let mut slam = start(&device, &sequence, &settings(Mode::LoopClosure));
-        let happened = process(&mut slam, &sequence, 0..530);
+        let happened = process(&mut slam, &sequence, 0..290);
         slam.save(&folder.path().join(name)).expect("saved");
         (slam, happened)
     };
@@ -72,7 +72,7 @@ fn a_loop_is_closed_and_two_runs_give_the_same_bytes() {
 
     // Where the camera was lies better for it.
     let mut basic = start(&device, &sequence, &settings(Mode::Basic));
-    process(&mut basic, &sequence, 0..530);
+    process(&mut basic, &sequence, 0..290);
     slam.settle();
     let (closed, open) = (worst_m(&slam, &sequence), worst_m(&basic, &sequence));
     assert!(closed < 0.03 && closed < 1.5 * open + 0.002, "{closed} m with closures, {open} m without");
@@ -89,7 +89,7 @@ fn a_loop_is_closed_and_two_runs_give_the_same_bytes() {
     let near = known.iter().filter(|metres| metres.abs() < 0.01).count();
     assert!(known.len() > some.len() * 9 / 10 && near > known.len() * 95 / 100, "{near} of {}", known.len());
     let camera = sequence.calibration().depth;
-    let pose = slam.corrected_trajectory().poses()[200].world_from_camera;
+    let pose = slam.corrected_trajectory().poses()[110].world_from_camera;
     let picture = slam.render(&camera, &pose, 4.0, Shading::Colour).expect("a picture");
     let shown = picture.data().iter().filter(|pixel| pixel[3] > 0).count();
     assert!(shown > 12_000, "{shown} of 19200 pixels");
@@ -105,20 +105,20 @@ fn a_session_of_submaps_goes_on_as_if_it_had_never_stopped() {
     let Some(device) = device() else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    let sequence = around(530);
+    let sequence = around(290);
     // Saved while two submaps are tracked and an optimisation is on its way, with blocks on the host too.
     let mut settings = settings(Mode::LoopClosure);
     settings.map.device_budget_mib = 6.0;
     let mut whole = start(&device, &sequence, &settings);
-    process(&mut whole, &sequence, 0..150);
+    process(&mut whole, &sequence, 0..90);
     whole.save(&at("whole.itm")).expect("saved");
-    for stop in [66, 121] {
+    for stop in [37, 68] {
         let mut first = start(&device, &sequence, &settings);
         process(&mut first, &sequence, 0..stop);
         first.save(&at("half.itm")).expect("saved");
         assert_eq!(SavedSession::open(&at("half.itm")).expect("a session").next_frame, stop as u64);
         let mut second = Slam::resume(&device, &at("half.itm")).expect("resumed");
-        process(&mut second, &sequence, stop..150);
+        process(&mut second, &sequence, stop..90);
         second.save(&at("second.itm")).expect("saved");
         assert!(second.trajectory() == whole.trajectory(), "another trajectory after {stop} frames");
         let bytes = |name: &str| std::fs::read(at(name)).expect("it was written");
@@ -131,7 +131,8 @@ fn a_kidnapped_camera_and_one_in_a_saved_map_are_found() {
     let Some(device) = device() else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("room.itm");
-    let kidnapped = sequence(Path::Kidnapped, (160, 120), 540);
+    let spec = Spec { duration_s: 12.0, ..Spec::new(Path::Kidnapped).with_size(160, 120).with_frames(360) };
+    let kidnapped = Sequence::new(spec).expect("a valid specification");
     for mode in [Mode::Basic, Mode::LoopClosure] {
         let mut slam = start(&device, &kidnapped, &settings(mode));
         let (mut lost, mut found, mut after) = (0, 0, Vec::new());
@@ -156,7 +157,7 @@ fn a_kidnapped_camera_and_one_in_a_saved_map_are_found() {
         let mut looking = settings(mode);
         looking.map.fuse = false;
         let mut there = Slam::in_map(&device, &kidnapped.calibration(), &looking, &path, None).expect("taken in");
-        let begin = 60;
+        let begin = 40;
         let results: Vec<_> = kidnapped
             .frames()
             .skip(begin)
