@@ -8,6 +8,7 @@ use base64::engine::general_purpose::STANDARD as BASE64;
 use glam::{DVec2, DVec3};
 use itm_core::{Se3, Trajectory, evaluation};
 use itm_io::recording::RecordingInfo;
+use itm_slam::{Submap, SubmapLink};
 
 use crate::pictures::Picture;
 use crate::plot::{self, Curve, Layer, OverFrames};
@@ -26,6 +27,10 @@ pub(crate) struct Report<'a> {
     pub(crate) trajectory: &'a Trajectory,
     pub(crate) info: &'a RecordingInfo,
     pub(crate) pictures: &'a [Picture],
+    pub(crate) submaps: &'a [Submap],
+    pub(crate) links: &'a [SubmapLink],
+    /// Where keyframes were taken (world frame, metres).
+    pub(crate) keyframes: &'a [DVec3],
     /// The resolved settings as TOML.
     pub(crate) settings: &'a str,
 }
@@ -94,6 +99,7 @@ impl Report<'_> {
         page += &self.errors();
         page += &section("Model", &self.model());
         page += &section("Trajectory", &self.trajectory());
+        page += &section("Submaps", &self.submaps());
         page += &section("Tracking", &self.tracking());
         page += &section("Time for each frame", &self.timings());
         page += &section("Run", &self.table());
@@ -210,6 +216,57 @@ impl Report<'_> {
         let side = view(&|p| DVec2::new(p.z, p.y), ["forward (m)", "up (m)"], "From the side");
         let note = "<p class='note'>Axes of the first camera; ○ start, ■ end.</p>";
         format!("<div class='columns'>{top}{side}</div>{note}{}", self.position_error(&errors))
+    }
+
+    /// The graph of the submaps from above, and what their links say; nothing where there is one submap.
+    fn submaps(&self) -> String {
+        let [first, _, ..] = self.submaps else { return String::new() };
+        let seen = |p: DVec3| {
+            let p = first.world_from_submap.inverse().transform_point(p);
+            DVec2::new(p.x, p.z)
+        };
+        let at = |number: u16| seen(self.submaps[usize::from(number)].world_from_submap.translation);
+        let curve = |class, points| Curve { name: "", class, points, ends: false };
+        let way = self.trajectory.poses().iter().map(|pose| seen(pose.world_from_camera.translation)).collect();
+        let mut curves = vec![curve("truth", way)];
+        // A keyframe is a dot: the shortest of lines with round ends.
+        curves.extend(self.keyframes.iter().map(|place| curve("keyframe", vec![seen(*place); 2])));
+        for link in self.links {
+            curves.push(curve(if link.closure { "closure" } else { "estimate" }, vec![at(link.from), at(link.to)]));
+        }
+        let names =
+            legend([("truth", "camera"), ("keyframe", "keyframes"), ("estimate", "links"), ("closure", "closures")]);
+        let svg = plot::plane(&curves, ["right (m)", "forward (m)"], 500.0, 400.0);
+        let rows: String = self
+            .links
+            .iter()
+            .map(|link| {
+                let measured = link.from_from_to;
+                let [a, b] = [link.from, link.to].map(|n| self.submaps[usize::from(n)].world_from_submap);
+                let off = measured.inverse() * a.inverse() * b;
+                format!(
+                    "<tr><td>{} – {}</td><td>{}</td><td>{:.2}</td><td>{}</td><td>{:.1}</td><td>{:.2}</td></tr>",
+                    link.from,
+                    link.to,
+                    if link.closure { "closure" } else { "link" },
+                    measured.translation.length(),
+                    link.frames,
+                    off.translation.length() * 1e3,
+                    off.angle().to_degrees()
+                )
+            })
+            .collect();
+        let mut note = format!("{} submaps, {} keyframes.", self.submaps.len(), self.keyframes.len());
+        if let (Some(live), Some(last)) = (&self.summary.live_evaluation, &self.summary.evaluation) {
+            let [live, last] = [live, last].map(|e| e.ate.rmse * 1e3);
+            note += &format!(" ATE {last:.1} mm rmse; {live:.1} mm with the poses as they were found.");
+        }
+        format!(
+            "<p class='note'>{note}</p><div class='columns'><figure>{names}{svg}<figcaption>From above</figcaption>\
+             </figure><table><tr><th>submaps</th><th></th><th>apart (m)</th><th>frames</th><th>off (mm)</th>\
+             <th>off (°)</th></tr>{rows}</table></div>\
+             <p class='note'>Off: how far the submaps lie from what the link measured, after optimisation.</p>"
+        )
     }
 
     fn position_error(&self, errors: &[(itm_core::Timestamp, f64)]) -> String {

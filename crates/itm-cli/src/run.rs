@@ -19,7 +19,7 @@ use itm_io::mesh::{MeshOptions, UpAxis};
 use itm_io::recording::{self, Format, RecordingInfo};
 use itm_io::trajectory::{TimeColumn, TumWriter};
 use itm_slam::{
-    Device, Event, FrameReport, FrameResult, FrameStatus, Happening, Notice, Poses, SavedSession, Session,
+    Device, Event, FrameReport, FrameResult, FrameStatus, Happening, Keyframe, Notice, Poses, SavedSession, Session,
     SessionOptions, Start,
 };
 use serde::Serialize;
@@ -461,7 +461,16 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         summary.errors.push(format!("{error:#}"));
     }
     let pictures = pictures::of(session.slam(), mesh.as_ref().map(|(mesh, _)| mesh));
+    let submaps = session.slam().submaps().to_vec();
+    let in_world = |keyframe: &Keyframe| {
+        let submap = submaps.get(usize::from(keyframe.submap)).map(|submap| submap.world_from_submap);
+        (submap.unwrap_or_default() * keyframe.submap_from_camera).translation
+    };
+    let keyframes: Vec<_> = session.slam().keyframes().iter().map(in_world).collect();
     let page = report::Report {
+        submaps: &submaps,
+        links: &session.slam().submap_links(),
+        keyframes: &keyframes,
         summary: &summary,
         rows,
         trajectory: &trajectory,
