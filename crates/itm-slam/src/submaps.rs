@@ -23,7 +23,7 @@ const NEAR_M: f64 = 1.0;
 const NEAR_RAD: f64 = 0.7;
 /// Up to so much drift (metres) a passive submap is looked for where it should be, with at least this share of its middle in
 /// view.
-const SURE_M: f64 = 0.5;
+const SURE_M: f64 = 2.0;
 const LEAST_SHARE: f64 = 0.3;
 
 /// An active submap beside the primary, or one on trial.
