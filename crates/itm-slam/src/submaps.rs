@@ -99,7 +99,7 @@ impl Slam {
         let mut pose = pose;
         if good {
             self.look_for_closure(frame, &pose, &mut seen, happenings)?;
-            pose = self.choose_primary(frame, pose, &mut seen, happenings)?;
+            pose = self.choose_primary(pose, &mut seen, happenings)?;
         }
         self.leave(&mut seen, happenings);
         for (beside, seen) in self.beside.iter_mut().zip(&seen) {
@@ -299,7 +299,6 @@ impl Slam {
     /// Where the camera has left the middle of the primary, another active submap takes its place, or a new one begins.
     fn choose_primary(
         &mut self,
-        frame: &Frame,
         pose: Se3,
         seen: &mut Vec<Seen>,
         happenings: &mut Vec<Happening>,
@@ -327,7 +326,6 @@ impl Slam {
             happenings.push(Happening::Primary { submap: to, from });
             return Ok(std::mem::replace(&mut seen[at].pose, pose));
         }
-        // Not before the last one is tied to something.
         let Some(submap) = atlas.begin(from, &pose) else { return Ok(pose) };
         atlas.set_state(from, SubmapState::Active);
         atlas.set_state(submap, SubmapState::Primary);
@@ -339,7 +337,6 @@ impl Slam {
         self.beside.push(Beside { local: old, life: Life::default() });
         seen.push(Seen { pose, good: true });
         happenings.push(Happening::Submap { submap, from });
-        let _ = frame;
         Ok(Se3::IDENTITY)
     }
 
