@@ -26,6 +26,7 @@ const VARIANTS: &[(&str, &[Choice])] = &[
     ("query", &[F32, PAGES]),
     ("raycast", &[F32, LISTED, PAGES]),
     ("render/colour", &[PAGES]),
+    ("shrink/average", &[COLOUR]),
     ("swap/empty", &[F32]),
     // Colours, confidences, distances of both kinds.
     ("swap/merge", &[&[&[], &["confidences"], &["distances"], &["f32", "distances"]]]),

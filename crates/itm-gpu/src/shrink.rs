@@ -1,7 +1,7 @@
 //! Stage `shrink`: the small, smooth images that a relocaliser compares (Glocker et al. 2015, *Real-Time RGB-D Camera
 //! Relocalization via Randomized Ferns for Keyframe Encoding*, section 3).
 
-use itm_core::{ColourImage, Image};
+use itm_core::{ColourImage, Image, Intrinsics};
 use itm_shaders::shrink;
 
 use crate::recorder::{Groups, Pipeline};
@@ -31,8 +31,8 @@ impl Shrink {
             size: [width, height],
             sigma,
             with_colour,
-            depth: Pipeline::plain(device, &shrink::depth::PASS),
-            colour: Pipeline::plain(device, &shrink::colour::PASS),
+            depth: Pipeline::new(device, &shrink::average::PASS, &[], &[]),
+            colour: Pipeline::new(device, &shrink::average::PASS, &["colour"], &[]),
             smooth: Pipeline::plain(device, &shrink::smooth::PASS),
             cells: device.storage("cells", bytes),
             small: [device.storage("small depth", bytes), device.storage("small colour", bytes)],
@@ -44,18 +44,23 @@ impl Shrink {
         recorder.stage("shrink");
         let [width, height] = self.size;
         let cells = Groups::Count([width, height, 1]);
-        let camera = view.level_camera(0);
-        let bindings = shrink::depth::Bindings {
-            params: shrink::depth::Params { size: [camera.width, camera.height], small_size: self.size },
-            depth: view.depth(),
+        let params = |camera: &Intrinsics| shrink::average::Params {
+            size: [camera.width, camera.height],
+            small_size: self.size,
+        };
+        let bindings = shrink::average::Bindings {
+            params: params(view.level_camera(0)),
+            depth: Some(view.depth()),
+            colours: None,
             small: &self.cells,
         };
         recorder.dispatch(&self.depth, &bindings, cells);
         self.smooth(recorder, &self.small[0]);
         if let Some((camera, colour)) = view.level_colour(0).filter(|_| self.with_colour) {
-            let bindings = shrink::colour::Bindings {
-                params: shrink::colour::Params { size: [camera.width, camera.height], small_size: self.size },
-                colour,
+            let bindings = shrink::average::Bindings {
+                params: params(camera),
+                depth: None,
+                colours: Some(colour),
                 small: &self.cells,
             };
             recorder.dispatch(&self.colour, &bindings, cells);
