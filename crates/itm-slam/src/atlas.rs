@@ -55,7 +55,8 @@ pub struct SubmapLink {
 pub(crate) struct Atlas {
     settings: SubmapSettings,
     pub(crate) submaps: Vec<Submap>,
-    links: BTreeMap<(u16, u16), Link>,
+    /// By their submaps, the lower number first, and whether the camera came back to get them.
+    links: BTreeMap<(u16, u16, bool), Link>,
     /// Of each frame that has one, its time and its pose in a submap.
     frames: Vec<(Timestamp, u16, Se3)>,
     /// How far the camera has gone, in metres.
@@ -228,20 +229,23 @@ impl Atlas {
     }
 
     /// Takes in what a frame says of the pose between two submaps. The link, where this has measured it for the first time.
-    pub(crate) fn observe(&mut self, from: u16, to: u16, observation: Observation) -> Option<&Link> {
-        let link = self.links.entry((from, to)).or_insert_with(|| Link::new(from, to, false));
+    pub(crate) fn observe(&mut self, pair: [u16; 2], observation: Observation) -> Option<&Link> {
+        let [from, to] = pair;
+        // What was got by coming back stays apart from what was got in passing: either may be wrong.
+        let closure = self.links.contains_key(&(from, to, true));
+        let link = self.links.entry((from, to, closure)).or_insert_with(|| Link::new(pair, closure));
         let first = link.observe(observation, &self.settings);
         if !first {
             return None;
         }
         self.unused += u32::from(link.measured(&self.settings).is_some());
-        self.links.get(&(from, to))
+        self.links.get(&(from, to, closure))
     }
 
-    /// Takes a closure's link in, in place of one that is there.
+    /// Takes a closure's link in, in place of an earlier closure's.
     pub(crate) fn close(&mut self, link: Link) {
         self.unused = self.settings.optimise_every;
-        self.links.insert((link.from, link.to), link);
+        self.links.insert(link.key(), link);
     }
 
     /// The links that were measured.
@@ -254,8 +258,10 @@ impl Atlas {
     }
 
     pub(crate) fn is_measured(&self, a: u16, b: u16) -> bool {
-        let measured = |key| self.links.get(&key).is_some_and(|link| link.measured(&self.settings).is_some());
-        measured((a, b)) || measured((b, a))
+        let measured = |closure| {
+            self.links.get(&(a.min(b), a.max(b), closure)).is_some_and(|link| link.measured(&self.settings).is_some())
+        };
+        measured(false) || measured(true)
     }
 
     /// Takes over the result that is due at a frame, and begins another optimisation where there is something new.
@@ -375,7 +381,7 @@ impl Atlas {
         let atlas = Self {
             settings: settings.clone(),
             submaps,
-            links: links.into_iter().map(|link| ((link.from, link.to), link)).collect(),
+            links: links.into_iter().map(|link| (link.key(), link)).collect(),
             frames: frames.into_iter().map(|(time, submap, pose)| (Timestamp(time), submap, pose)).collect(),
             way_m,
             unused,

@@ -2,17 +2,11 @@
 //! Dense 3D Reconstruction with Loop Closure*, section 2.3).
 
 use itm_core::{Se3, SubmapSettings};
-use nalgebra::{Matrix3, Matrix6, Quaternion, UnitQuaternion};
+use nalgebra::{Matrix3, Matrix6, Quaternion, UnitQuaternion, Vector6};
 use serde::{Deserialize, Serialize};
 
-/// Most recent frames that a link is found from.
-const KEPT: usize = 60;
 /// Rounds of reweighting.
 const ROUNDS: usize = 10;
-/// Standard deviation that a link has at least, in metres and radians: what a submap's own bend and the voxels leave, which
-/// no frame's equations know of.
-const FLOOR: [f64; 2] = [2e-3, 1e-3];
-
 /// One frame's measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Observation {
@@ -22,11 +16,18 @@ pub(crate) struct Observation {
 }
 
 impl Observation {
-    /// Of a camera that is tracked in two submaps. Covariances are those of the camera's pose there, as a twist in the camera's
+    /// Of a camera that is tracked in two submaps, the one with the lower number first. Covariances are those of the camera's pose there, as a twist in the camera's
     /// own axes.
-    pub(crate) fn new([from_from_camera, to_from_camera]: [&Se3; 2], [of_from, of_to]: [&Matrix6<f64>; 2]) -> Self {
+    pub(crate) fn new(
+        [from_from_camera, to_from_camera]: [&Se3; 2],
+        [of_from, of_to]: [&Matrix6<f64>; 2],
+        settings: &SubmapSettings,
+    ) -> Self {
+        let SubmapSettings { link_deviation_m: metres, link_deviation_rad: radians, .. } = settings;
+        let [m, r] = [metres * metres, radians * radians];
+        let least = Matrix6::from_diagonal(&Vector6::new(m, m, m, r, r, r));
         let adjoint = adjoint(to_from_camera);
-        let covariance = adjoint * (of_from + of_to) * adjoint.transpose();
+        let covariance = adjoint * (of_from + of_to + least) * adjoint.transpose();
         Self { from_from_to: *from_from_camera * to_from_camera.inverse(), covariance: covariance.into() }
     }
 }
@@ -45,9 +46,15 @@ pub(crate) struct Link {
 }
 
 impl Link {
-    pub(crate) fn new(from: u16, to: u16, closure: bool) -> Self {
+    /// Between two submaps, the one with the lower number first.
+    pub(crate) fn new([from, to]: [u16; 2], closure: bool) -> Self {
         let zero = [[0.0; 6]; 6];
         Self { from, to, closure, observations: Vec::new(), found: None, information: zero }
+    }
+
+    /// What it is found by among others.
+    pub(crate) fn key(&self) -> (u16, u16, bool) {
+        (self.from, self.to, self.closure)
     }
 
     /// Frames that measured it, of those that are kept.
@@ -57,15 +64,16 @@ impl Link {
 
     /// Takes a frame's measurement in. Whether the link is measured by it for the first time.
     pub(crate) fn observe(&mut self, observation: Observation, settings: &SubmapSettings) -> bool {
-        if self.observations.len() == KEPT {
-            self.observations.remove(0);
+        let most = settings.link_window as usize;
+        if self.observations.len() >= most {
+            self.observations.drain(..=self.observations.len() - most);
         }
         self.observations.push(observation);
         if self.observations.len() < settings.link_frames as usize {
             return false;
         }
         let before = self.found.is_some();
-        self.estimate(settings.link_huber);
+        self.estimate(settings);
         !before
     }
 
@@ -80,20 +88,23 @@ impl Link {
         self.found.map(|(_, share)| share)
     }
 
-    /// The weighted mean of the observations, reweighted by Huber's kernel.
-    fn estimate(&mut self, huber: f64) {
+    /// The mean of the observations, weighted by what each frame's equations know of each direction and reweighted by Huber's
+    /// kernel.
+    fn estimate(&mut self, settings: &SubmapSettings) {
+        let huber = settings.link_huber;
         let mut pose = self.observations[self.observations.len() / 2].from_from_to;
         let off = |pose: &Se3, o: &Observation| (pose.inverse() * o.from_from_to).log();
         let length = |twist: &[f64; 6]| twist.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let known: Vec<Matrix6<f64>> = self.observations.iter().map(|o| inverse(o.covariance.into())).collect();
         for _ in 0..ROUNDS {
-            let (mut sum, mut weights) = ([0.0; 6], 0.0);
-            for observation in &self.observations {
+            let (mut sum, mut weights) = (Vector6::zeros(), Matrix6::zeros());
+            for (observation, known) in self.observations.iter().zip(&known) {
                 let twist = off(&pose, observation);
                 let weight = (huber / length(&twist).max(1e-300)).min(1.0);
-                weights += weight;
-                sum.iter_mut().zip(twist).for_each(|(sum, v)| *sum += weight * v);
+                weights += known * weight;
+                sum += known * Vector6::from(twist) * weight;
             }
-            let step = sum.map(|v| v / weights);
+            let Some(step) = weights.cholesky().map(|weights| <[f64; 6]>::from(weights.solve(&sum))) else { break };
             pose = pose * Se3::exp(step);
             if length(&step) < 1e-9 {
                 break;
@@ -107,12 +118,14 @@ impl Link {
         for observation in &agree {
             covariance += Matrix6::from(observation.covariance) / agree.len() as f64;
         }
-        for i in 0..6 {
-            covariance[(i, i)] += FLOOR[i / 3] * FLOOR[i / 3];
-        }
-        let information = covariance.try_inverse().unwrap_or_else(Matrix6::zeros);
-        self.information = (0.5 * (information + information.transpose())).into();
+        self.information = inverse(covariance).into();
     }
+}
+
+/// The information of a measurement with a covariance.
+fn inverse(covariance: Matrix6<f64>) -> Matrix6<f64> {
+    let information = covariance.try_inverse().unwrap_or_else(Matrix6::zeros);
+    0.5 * (information + information.transpose())
 }
 
 /// What takes a twist in the axes of `b` to one in those of `a`, for `a_from_b`; translation first.
@@ -135,7 +148,7 @@ mod tests {
     fn observation(from_from_to: Se3) -> Observation {
         let camera = Se3::exp([0.2, 0.1, -0.3, 0.1, 0.4, 0.0]);
         let covariance = Matrix6::from_diagonal_element(1e-6);
-        Observation::new([&(from_from_to * camera), &camera], [&covariance, &covariance])
+        Observation::new([&(from_from_to * camera), &camera], [&covariance, &covariance], &SubmapSettings::default())
     }
 
     #[test]
@@ -143,7 +156,7 @@ mod tests {
         let a_from_b = Se3::exp([0.3, -0.7, 0.5, 0.4, -0.2, 0.9]);
         let twist = [0.02, -0.01, 0.03, 0.005, 0.02, -0.01];
         let there = a_from_b * Se3::exp(twist) * a_from_b.inverse();
-        let carried: [f64; 6] = (adjoint(&a_from_b) * nalgebra::Vector6::from(twist)).into();
+        let carried: [f64; 6] = (adjoint(&a_from_b) * Vector6::from(twist)).into();
         assert!(there.log().iter().zip(carried).all(|(a, b)| (a - b).abs() < 1e-12));
     }
 
@@ -151,7 +164,7 @@ mod tests {
     fn a_few_wrong_frames_do_not_move_a_link_and_many_leave_it_unmeasured() {
         let settings = SubmapSettings { link_huber: 0.02, ..SubmapSettings::default() };
         let truth = Se3::exp([1.0, 0.2, -0.4, 0.1, 0.8, 0.0]);
-        let mut link = Link::new(0, 1, false);
+        let mut link = Link::new([0, 1], false);
         for i in 0..20 {
             let wrong = if i % 10 == 3 { Se3::exp([0.8, 0.0, 0.0, 0.0, 0.3, 0.0]) } else { Se3::IDENTITY };
             let noise = Se3::exp([1e-4 * f64::from(i % 3 - 1), 0.0, 0.0, 0.0, 0.0, 0.0]);

@@ -291,6 +291,18 @@ impl Slam {
                 Located { tracked: Some(tracked), pose, fuse: true, ..Located::without(FrameStatus::Lost { reason }) }
             }
             Verdict::Lost => {
+                let mut happenings = Vec::new();
+                if let Some(found) = self.fall_back(frame, &mut happenings)? {
+                    let pose = Some(found.world_from_camera);
+                    let tracked = Some(found);
+                    return Ok(Located {
+                        tracked,
+                        pose,
+                        fuse: true,
+                        happenings,
+                        ..Located::without(FrameStatus::Tracked)
+                    });
+                }
                 let relocalises = on_failure == OnFailure::Relocalise;
                 if relocalises && let Some(found) = self.relocalise(frame)? {
                     return Ok(found);

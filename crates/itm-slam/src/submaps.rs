@@ -15,17 +15,6 @@ use crate::places::Found;
 use crate::tracking::{Tracked, Verdict};
 use crate::{Error, Slam};
 
-/// After a look at passive submaps that led nowhere, so many of `submaps.look_every` pass until the next.
-const REST: u64 = 3;
-/// Keyframes that are looked at for a closure, and how near the camera must be to theirs, in metres and radians.
-const LOOKED_AT: usize = 2;
-const NEAR_M: f64 = 1.0;
-const NEAR_RAD: f64 = 0.7;
-/// Up to so much drift (metres) a passive submap is looked for where it should be, with at least this share of its middle in
-/// view.
-const SURE_M: f64 = 2.0;
-const LEAST_SHARE: f64 = 0.3;
-
 /// An active submap beside the primary, or one on trial.
 #[derive(Debug)]
 pub(crate) struct Beside {
@@ -46,6 +35,8 @@ pub(crate) struct Life {
 struct Trial {
     tries: u32,
     successes: u32,
+    /// The primary when it began.
+    from: u16,
     link: Link,
 }
 
@@ -106,6 +97,9 @@ impl Slam {
             let local = &mut beside.local;
             self.mapper.follow_beside(local.submap, &mut local.model, &seen.pose)?;
             local.submap_from_model = Some(seen.pose);
+            if seen.good {
+                local.last_good = Some(seen.pose);
+            }
             local.motion.moved_to(frame, seen.pose);
         }
         if let Some(atlas) = &mut self.atlas {
@@ -131,7 +125,8 @@ impl Slam {
             // The camera moves in each submap as it does in the primary.
             let expected = step.map_or(last, |step| last * step);
             let found = local.track_from(&mut eyes, frame, &[expected])?;
-            let good = found.as_ref().is_some_and(|found| found.verdict == Verdict::Good);
+            let share = settings.submaps.min_inlier_share;
+            let good = found.as_ref().is_some_and(|f| f.verdict == Verdict::Good && f.inlier_share >= share);
             life.failed = if good { 0 } else { life.failed + 1 };
             let pose = found.as_ref().filter(|_| good).map_or(expected, |found| found.estimate);
             if let Some(trial) = &mut life.trial {
@@ -141,23 +136,17 @@ impl Slam {
             if let (Some((in_primary, Some(tracked))), Some(found), Some(atlas)) =
                 (in_primary, found.filter(|_| good), atlas.as_mut())
             {
-                let (from, to) = (primary.submap, local.submap);
-                match &mut life.trial {
-                    Some(trial) => {
-                        let of = [&tracked.covariance, &found.covariance];
-                        trial.link.observe(Observation::new([in_primary, &pose], of), &settings.submaps);
-                    }
-                    // One link for both directions.
-                    None if from < to => {
-                        let of = [&tracked.covariance, &found.covariance];
-                        let link = atlas.observe(from, to, Observation::new([in_primary, &pose], of));
-                        happenings.extend(link.map(|link| Happening::Linked { from: link.from, to: link.to }));
-                    }
-                    None => {
-                        let of = [&found.covariance, &tracked.covariance];
-                        let link = atlas.observe(to, from, Observation::new([&pose, in_primary], of));
-                        happenings.extend(link.map(|link| Happening::Linked { from: link.from, to: link.to }));
-                    }
+                // One link for both directions.
+                let mut sides =
+                    [(primary.submap, in_primary, &tracked.covariance), (local.submap, &pose, &found.covariance)];
+                sides.sort_by_key(|(submap, ..)| *submap);
+                let [(one, in_one, of_one), (other, in_other, of_other)] = sides;
+                let observation = Observation::new([in_one, in_other], [of_one, of_other], &settings.submaps);
+                if let Some(trial) = &mut life.trial {
+                    trial.link.observe(observation, &settings.submaps);
+                } else {
+                    let link = atlas.observe([one, other], observation);
+                    happenings.extend(link.map(|link| Happening::Linked { from: link.from, to: link.to }));
                 }
             }
             seen.push(Seen { pose, good });
@@ -177,7 +166,7 @@ impl Slam {
                 continue;
             };
             let to = local.submap;
-            let ends = if trial.link.from != self.primary.submap {
+            let ends = if trial.from != self.primary.submap {
                 Some("the camera has left the submap that it was measured from".to_owned())
             } else if trial.successes >= settings.closure_successes {
                 match trial.link.measured(&settings) {
@@ -224,7 +213,8 @@ impl Slam {
         let now = self.mapper.frames();
         let on_trial = self.beside.iter().any(|beside| beside.life.trial.is_some());
         let (Some(atlas), Some(places)) = (&self.atlas, &mut self.places) else { return Ok(()) };
-        if on_trial || now < self.next_look || !now.is_multiple_of(settings.look_every.into()) {
+        if !settings.close_loops || on_trial || now < self.next_look || !now.is_multiple_of(settings.look_every.into())
+        {
             return Ok(());
         }
         let world_from_camera = atlas.world_from(self.primary.submap) * *pose;
@@ -236,7 +226,8 @@ impl Slam {
                 return false;
             }
             let off = (atlas.world_from(*submap) * *submap_from_camera).inverse() * world_from_camera;
-            off.translation.length() <= atlas.drift_allowed_m(*submap) + NEAR_M && off.angle() <= NEAR_RAD
+            off.translation.length() <= atlas.drift_allowed_m(*submap) + settings.look_within_m
+                && off.angle() <= settings.look_within_rad
         };
         let far_m = f64::from(self.settings.view.max_depth_m);
         let expected = |submap: u16| atlas.world_from(submap).inverse() * world_from_camera;
@@ -244,17 +235,17 @@ impl Slam {
         // Where tracking cannot have drifted far, the camera is where it is thought to be, whatever the view resembles.
         let near = (0..atlas.submaps.len() as u16)
             .filter(|submap| atlas.submap(*submap).state == SubmapState::Passive)
-            .filter(|submap| atlas.drift_allowed_m(*submap) <= SURE_M)
+            .filter(|submap| atlas.drift_allowed_m(*submap) <= settings.expected_within_m)
             .map(|submap| (in_view(submap), submap))
-            .filter(|(share, _)| *share >= settings.new_below.max(LEAST_SHARE))
+            .filter(|(share, _)| *share >= settings.new_below.max(settings.expected_share))
             .max_by(|(a, _), (b, _)| a.total_cmp(b));
         let mut candidates = places.candidates(&self.device, &may_be_here)?;
         candidates.retain(|candidate| candidate.dissimilarity <= settings.max_dissimilarity);
-        candidates.truncate(LOOKED_AT);
+        candidates.truncate(settings.look_candidates as usize);
         if candidates.is_empty() && near.is_none() {
             return Ok(());
         }
-        self.next_look = now + REST * u64::from(settings.look_every);
+        self.next_look = now + u64::from(settings.look_every) * (1 + u64::from(settings.look_rest));
         let Self { evaluator, view, calibration, mapper, .. } = self;
         let mut eyes = Eyes { evaluator, view, calibration, settings: &self.settings };
         let mut found = None;
@@ -280,8 +271,9 @@ impl Slam {
             return Ok(());
         }
         let local = self.new_local(submap)?;
-        let link = Link::new(self.primary.submap, submap, true);
-        let life = Life { failed: 0, trial: Some(Trial { tries: 0, successes: 0, link }) };
+        let from = self.primary.submap;
+        let link = Link::new([from.min(submap), from.max(submap)], true);
+        let life = Life { failed: 0, trial: Some(Trial { tries: 0, successes: 0, from, link }) };
         self.beside.push(Beside { local, life });
         seen.push(Seen { pose: there, good: true });
         Ok(())
@@ -331,6 +323,7 @@ impl Slam {
         atlas.set_state(submap, SubmapState::Primary);
         let mut local = self.new_local(submap)?;
         local.age = Default::default();
+        local.last_good = Some(Se3::IDENTITY);
         local.motion = self.primary.motion.seen_from(&pose.inverse());
         self.mapper.begin_submap();
         let old = std::mem::replace(&mut self.primary, local);
@@ -361,6 +354,39 @@ impl Slam {
             atlas.set_state(submap, SubmapState::Passive);
             happenings.push(Happening::Passive { submap });
         }
+    }
+
+    /// Where the camera is by the other active submaps, when it was lost in the primary: the best by the verdict of tracking is
+    /// the primary from here on.
+    pub(crate) fn fall_back(
+        &mut self,
+        frame: &Frame,
+        happenings: &mut Vec<Happening>,
+    ) -> Result<Option<Tracked>, Error> {
+        let Self { beside, evaluator, view, calibration, settings, .. } = self;
+        let mut eyes = Eyes { evaluator, view, calibration, settings };
+        let mut best: Option<(usize, Tracked)> = None;
+        for (at, Beside { local, life }) in beside.iter_mut().enumerate() {
+            if life.trial.is_some() || life.failed > 0 {
+                continue;
+            }
+            let Some(found) = local.track(&mut eyes, frame, &[])? else { continue };
+            let better = best.as_ref().is_none_or(|(_, best)| found.chance_wrong < best.chance_wrong);
+            let enough = found.inlier_share >= settings.submaps.min_inlier_share;
+            if found.verdict == Verdict::Good && enough && better {
+                best = Some((at, found));
+            }
+        }
+        let (Some((at, found)), Some(atlas)) = (best, &mut self.atlas) else { return Ok(None) };
+        let from = self.primary.submap;
+        self.primary = self.beside.remove(at).local;
+        self.primary.last_good = Some(found.estimate);
+        let submap = self.primary.submap;
+        atlas.set_state(from, SubmapState::Passive);
+        atlas.set_state(submap, SubmapState::Primary);
+        happenings.push(Happening::Passive { submap: from });
+        happenings.push(Happening::Primary { submap, from });
+        Ok(Some(found))
     }
 
     /// The camera was found in a submap after a loss: it is the primary from here on.

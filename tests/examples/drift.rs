@@ -1,0 +1,97 @@
+//! Where the error of a run with submaps comes from: bends within submaps, or links between them.
+//!
+//! `cargo run --release --package itm-tests --example drift -- RECORDING [KEY=VALUE ...]`, for a recording with a true pose for
+//! each frame.
+
+#![allow(clippy::print_stdout, clippy::unwrap_used, reason = "a program of the developers'")]
+
+use std::collections::BTreeMap;
+
+use itm_io::recording::{OpenOptions, open};
+use itm_slam::{Device, Happening, Poses, Se3, Settings, Slam, StampedPose, SubmapState, Trajectory};
+
+/// The absolute error in millimetres, and what takes the poses found to the true ones.
+fn compare(truth: &[StampedPose], found: impl Iterator<Item = Se3>) -> (f64, Se3) {
+    let found: Trajectory =
+        truth.iter().zip(found).map(|(truth, world_from_camera)| StampedPose { world_from_camera, ..*truth }).collect();
+    let truth: Trajectory = truth.iter().copied().collect();
+    itm_slam::evaluation::evaluate(&found, &truth, 0)
+        .map_or((f64::NAN, Se3::IDENTITY), |evaluation| (evaluation.ate.rmse * 1e3, evaluation.truth_from_estimate))
+}
+
+fn main() {
+    let mut arguments = std::env::args().skip(1);
+    let folder = arguments.next().expect("a recording's folder");
+    let overrides: Vec<String> = std::iter::once("mode=loop-closure".to_owned()).chain(arguments).collect();
+    let settings = Settings::resolve(None, &overrides).unwrap();
+    let mut recording = open(folder.as_ref(), &OpenOptions::default()).unwrap();
+    let info = recording.info().clone();
+    let device = Device::open("auto").unwrap();
+    let mut slam = Slam::new(&device, &info.calibration, &settings, Poses::Tracked).unwrap();
+    let given = info.ground_truth.clone().unwrap();
+    // Of each frame: the truth, its submap, and its pose there.
+    let mut frames: Vec<(StampedPose, u16, Se3)> = Vec::new();
+    let mut times: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
+    for index in 0..info.frames {
+        let frame = recording.read(index).unwrap();
+        let started = std::time::Instant::now();
+        let result = slam.process(&frame).unwrap();
+        let active = slam.submaps().iter().filter(|submap| submap.state != SubmapState::Passive).count();
+        times.entry(active).or_default().push(started.elapsed().as_secs_f64() * 1e3);
+        for happening in &result.happenings {
+            if !matches!(happening, Happening::Keyframe { .. } | Happening::Optimised(_)) {
+                println!("{index:5} {happening}");
+            }
+        }
+        let Some(truth) = given.poses().iter().find(|pose| pose.timestamp == frame.timestamp) else { continue };
+        let Some(pose) = result.world_from_camera else { continue };
+        let submap = slam.submaps().get(usize::from(result.submap));
+        let world_from_submap = submap.map_or(Se3::IDENTITY, |submap| submap.world_from_submap);
+        frames.push((*truth, result.submap, world_from_submap.inverse() * pose));
+    }
+    let truth: Vec<StampedPose> = frames.iter().map(|(truth, ..)| *truth).collect();
+    let live: Vec<Se3> = slam.trajectory().poses().iter().map(|pose| pose.world_from_camera).collect();
+    println!("{} frames, {} submaps", frames.len(), slam.submaps().len());
+    println!("ATE live             {:7.2} mm", compare(&truth, live.into_iter()).0);
+    let by = |slam: &Slam| {
+        let mut poses: Vec<Se3> = slam.submaps().iter().map(|submap| submap.world_from_submap).collect();
+        poses.resize(poses.len().max(1), Se3::IDENTITY);
+        compare(&truth, frames.iter().map(|(_, submap, pose)| poses[usize::from(*submap)] * *pose)).0
+    };
+    println!("ATE before settling  {:7.2} mm", by(&slam));
+    slam.settle();
+    println!("ATE                  {:7.2} mm", by(&slam));
+    // Where the truth has each submap, by all its frames.
+    let best: Vec<(usize, f64, Se3)> = (0..slam.submaps().len().max(1))
+        .map(|number| {
+            let own = || frames.iter().filter(move |(_, submap, _)| usize::from(*submap) == number);
+            let truth: Vec<StampedPose> = own().map(|(truth, ..)| *truth).collect();
+            let (bend, world_from_submap) = compare(&truth, own().map(|(_, _, pose)| *pose));
+            (truth.len(), bend, world_from_submap)
+        })
+        .collect();
+    let placed = frames.iter().map(|(_, submap, pose)| best[usize::from(*submap)].2 * *pose);
+    println!("ATE, best submaps    {:7.2} mm", compare(&truth, placed).0);
+    println!("| submap | frames | bend, mm |");
+    for (number, (frames, bend, _)) in best.iter().enumerate() {
+        println!("| {number} | {frames} | {bend:.2} |");
+    }
+    for (active, mut times) in times {
+        times.sort_by(f64::total_cmp);
+        println!("{} frames with {active} active submaps: {:.1} ms", times.len(), times[times.len() / 2]);
+    }
+    println!("| link | closure | frames | off, mm | off, deg |");
+    for link in slam.submap_links() {
+        let true_link = best[usize::from(link.from)].2.inverse() * best[usize::from(link.to)].2;
+        let off = true_link.inverse() * link.from_from_to;
+        println!(
+            "| {} - {} | {} | {} | {:.2} | {:.3} |",
+            link.from,
+            link.to,
+            link.closure,
+            link.frames,
+            off.translation.length() * 1e3,
+            off.angle().to_degrees()
+        );
+    }
+}
