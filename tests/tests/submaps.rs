@@ -1,7 +1,8 @@
 //! Maps of submaps: loops are closed, places are found again, and what works with one map works with many.
 
 use itm_slam::{
-    Device, FrameStatus, Happening, Mode, Poses, SavedMap, SavedSession, Se3, Settings, Shading, Slam, SubmapState,
+    Device, Frame, FrameStatus, Happening, Mode, Poses, SavedMap, SavedSession, Settings, Shading, Slam, StampedPose,
+    SubmapState, Trajectory,
 };
 use itm_synth::{DepthNoise, Path, Sequence, Spec};
 use itm_tests::device;
@@ -28,15 +29,16 @@ fn start(device: &Device, sequence: &Sequence, settings: &Settings) -> Slam {
     Slam::new(device, &sequence.calibration(), settings, Poses::Tracked).expect("a small map fits")
 }
 
-/// The largest distance of a trajectory from the truth, whose first poses are the same.
-fn worst_m(slam: &Slam, sequence: &Sequence) -> f64 {
-    let truth: Vec<Se3> = sequence.frames().map(|frame| frame.world_from_camera.expect("a pose")).collect();
+/// The root mean square of a trajectory's distances from the truth.
+fn ate_m(slam: &Slam, sequence: &Sequence) -> f64 {
+    let truth = |frame: Frame| StampedPose {
+        timestamp: frame.timestamp,
+        world_from_camera: frame.world_from_camera.expect("a pose"),
+    };
+    let truth: Trajectory = sequence.frames().map(truth).collect();
     let found = slam.corrected_trajectory();
     assert_eq!(found.len(), truth.len(), "every frame has a pose");
-    let off = |(found, truth_now): (&itm_slam::StampedPose, &Se3)| {
-        (truth[0].inverse() * *truth_now).translation.distance(found.world_from_camera.translation)
-    };
-    found.poses().iter().zip(&truth).map(off).fold(0.0, f64::max)
+    itm_slam::evaluation::evaluate(&found, &truth, 0).expect("poses of the same times").ate.rmse
 }
 
 /// Once around the room in 240 frames and on: the camera comes back to where it began.
@@ -74,8 +76,8 @@ fn a_loop_is_closed_and_two_runs_give_the_same_bytes() {
     let mut basic = start(&device, &sequence, &settings(Mode::Basic));
     process(&mut basic, &sequence, 0..290);
     slam.settle();
-    let (closed, open) = (worst_m(&slam, &sequence), worst_m(&basic, &sequence));
-    assert!(closed < 0.03 && closed < 1.5 * open + 0.002, "{closed} m with closures, {open} m without");
+    let (closed, open) = (ate_m(&slam, &sequence), ate_m(&basic, &sequence));
+    assert!(closed < 0.006 && closed < 0.5 * open, "{closed} m with closures, {open} m without");
 
     // All submaps are one map for meshes and pictures, in the session as from the file.
     let mesh = slam.mesh(&mut |_, _| ()).expect("a mesh");

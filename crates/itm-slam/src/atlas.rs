@@ -14,7 +14,7 @@ use itm_io::map_file::{SubmapPose, SubmapState};
 use serde::{Deserialize, Serialize};
 
 use crate::happening::{Happening, Optimised};
-use crate::link::{Link, Observation};
+use crate::link::{Link, Observation, together};
 
 /// How well a submap's place is known before it is measured, as standard deviations: it begins at the camera's pose in the one
 /// before.
@@ -316,7 +316,15 @@ impl Atlas {
             graph.add_node(NodeId(number), submap.world_from_submap)?;
         }
         for link in self.links.values() {
-            let Some((pose, information)) = link.measured(&self.settings) else { continue };
+            let Some(mut known) = link.measured(&self.settings) else { continue };
+            let beside = self.links.get(&(link.from, link.to, !link.closure)).and_then(|l| l.measured(&self.settings));
+            if let Some(beside) = beside {
+                if link.closure {
+                    continue;
+                }
+                known = together(known, beside);
+            }
+            let (pose, information) = known;
             let (from, to) = (NodeId(link.from.into()), NodeId(link.to.into()));
             let edge = if link.closure { Edge::closure } else { Edge::sequential };
             graph.add_edge(edge(from, to, pose, information))?;

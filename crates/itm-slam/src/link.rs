@@ -122,7 +122,16 @@ impl Link {
     }
 }
 
-/// The information of a measurement with a covariance.
+/// Two measurements of one pose, each confirmed, as one: half-way between them, and no better known than they differ. They
+/// differ because the submaps are bent, and neither is right for all of them.
+pub(crate) fn together(a: (Se3, Matrix6<f64>), b: (Se3, Matrix6<f64>)) -> (Se3, Matrix6<f64>) {
+    let half = (a.0.inverse() * b.0).log().map(|v| 0.5 * v);
+    let apart = Vector6::from(half);
+    let covariance = (inverse(a.1) + inverse(b.1)) * 0.5 + apart * apart.transpose();
+    (a.0 * Se3::exp(half), inverse(covariance))
+}
+
+/// The information of a measurement with a covariance, or the other way round.
 fn inverse(covariance: Matrix6<f64>) -> Matrix6<f64> {
     let information = covariance.try_inverse().unwrap_or_else(Matrix6::zeros);
     0.5 * (information + information.transpose())
@@ -158,6 +167,21 @@ mod tests {
         let there = a_from_b * Se3::exp(twist) * a_from_b.inverse();
         let carried: [f64; 6] = (adjoint(&a_from_b) * Vector6::from(twist)).into();
         assert!(there.log().iter().zip(carried).all(|(a, b)| (a - b).abs() < 1e-12));
+    }
+
+    #[test]
+    fn two_links_together_are_less_sure_where_they_differ() {
+        let pose = Se3::exp([1.0, 0.2, -0.4, 0.1, 0.8, 0.0]);
+        let known = Matrix6::from_diagonal_element(1e6);
+        let (same, information) = together((pose, known), (pose, known));
+        assert!((pose.inverse() * same).log().iter().all(|v| v.abs() < 1e-12));
+        assert!((information - known).amax() < 1.0);
+        let aside = pose * Se3::exp([0.02, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let (between, information) = together((pose, known), (aside, known));
+        assert!(((pose.inverse() * between).translation.x - 0.01).abs() < 1e-9);
+        // 1 cm along x, 1 mm otherwise.
+        assert!((information[(0, 0)] - 1.0 / 1.01e-4).abs() < 1.0, "{information}");
+        assert!((information[(1, 1)] - 1e6).abs() < 1.0);
     }
 
     #[test]
