@@ -689,6 +689,11 @@ impl Log {
                     self.say(index as u64, format!("skipped: {reason}"));
                     self.timings.skipped(index, reason).context("cannot write timings.csv")
                 }
+                // The log has said it.
+                Event::Warning(warning) => {
+                    self.messages.push(Message { frame: self.last_frame(), text: warning.to_string() });
+                    continue;
+                }
                 Event::Finished(summary) => {
                     summary.reports.iter().for_each(|report| self.tell_notices(report));
                     return Ok(summary);

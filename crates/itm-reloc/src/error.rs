@@ -45,14 +45,32 @@ pub enum Error {
         /// The one that the bytes have.
         found: u32,
     },
-    /// Saved keyframes were made with another setting, so that no view could be compared with them.
-    #[error("saved keyframes were made with {setting} = {found}, but here it is {expected}")]
-    SettingDiffers {
-        /// Full key.
-        setting: &'static str,
-        /// Its value here.
-        expected: String,
-        /// Its value when the keyframes were saved.
-        found: String,
+    /// Saved keyframes were made with other settings, so that no view could be compared with them.
+    #[error("saved keyframes were made with {}", shown(.differences))]
+    SettingsDiffer {
+        /// All of those that codes depend on and that differ.
+        differences: Vec<Difference>,
     },
+}
+
+/// A setting that is not what it was when keyframes were saved.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Difference {
+    /// Full key.
+    pub setting: &'static str,
+    /// Its value here.
+    pub expected: String,
+    /// Its value when the keyframes were saved.
+    pub found: String,
+}
+
+impl std::fmt::Display for Difference {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { setting, expected, found } = self;
+        write!(f, "{setting} = {found} (here {expected})")
+    }
+}
+
+fn shown(differences: &[Difference]) -> String {
+    differences.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }

@@ -33,7 +33,7 @@ mod relocaliser;
 mod view;
 
 pub use average::{AveragePose, average_pose};
-pub use error::Error;
+pub use error::{Difference, Error};
 pub use ferns::Ferns;
 pub use keyframe::{Candidate, Harvest, Keyframe};
 pub use relocaliser::{Relocaliser, new_relocaliser};

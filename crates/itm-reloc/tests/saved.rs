@@ -6,7 +6,7 @@ mod common;
 
 use common::{ferns, wall};
 use itm_core::{RelocaliserImage, RelocaliserSettings, Se3, Settings, Timestamp};
-use itm_reloc::{Error, Ferns, Harvest, Relocaliser as _};
+use itm_reloc::{Difference, Error, Ferns, Harvest, Relocaliser as _};
 use proptest::prelude::*;
 
 fn settings() -> RelocaliserSettings {
@@ -88,8 +88,20 @@ fn a_setting_that_differs_is_named_with_both_values() {
         let mut changed = other.clone();
         change(&mut changed);
         let error = Ferns::new(&changed).unwrap().load(&saved).unwrap_err();
-        assert_eq!(error, Error::SettingDiffers { setting, expected: expected.into(), found: found.into() });
+        let differences = vec![Difference { setting, expected: expected.into(), found: found.into() }];
+        assert_eq!(error, Error::SettingsDiffer { differences });
     }
+    // All that differ are named at once, where fewer are compared too.
+    let mut changed = other.clone();
+    changed.relocaliser.image = RelocaliserImage::Colour;
+    changed.relocaliser.ferns = 30;
+    changed.view.max_depth_m = 5.0;
+    let error = Ferns::new(&changed).unwrap().load(&saved).unwrap_err().to_string();
+    let expected = "made with relocaliser.image = depth (here colour), relocaliser.ferns = 70 (here 30)";
+    assert_eq!(error, format!("saved keyframes were {expected}"));
+    let of_colours = Ferns::new(&changed).unwrap().save();
+    let error = Ferns::new(&other).unwrap().load(&of_colours).unwrap_err().to_string();
+    assert!(error.contains("relocaliser.image = colour (here depth), relocaliser.ferns = 30 (here 70)"), "{error}");
     // What codes do not depend on may differ.
     let mut changed = other;
     changed.relocaliser.min_dissimilarity = 0.5;

@@ -4,7 +4,9 @@
 //! Poses are optimised on a thread of its own. Its result is taken over a fixed number of frames later, waited for where it is
 //! late, so that a recording gives the same map each time.
 
-use std::collections::BTreeMap;
+mod check;
+
+use std::collections::{BTreeMap, BTreeSet};
 use std::thread::JoinHandle;
 
 use glam::DVec3;
@@ -15,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::happening::{Happening, Optimised};
 use crate::link::{Link, Observation, together};
+pub(crate) use check::{LeftOut, check_pose};
 
 /// How well a submap's place is known before it is measured, as standard deviations: it begins at the camera's pose in the one
 /// before.
@@ -64,6 +67,8 @@ pub(crate) struct Atlas {
     /// Links measured since the poses were last optimised.
     unused: u32,
     running: Option<Running>,
+    /// Submaps whose blocks are all gone: the camera is not looked for there.
+    without_blocks: BTreeSet<u16>,
 }
 
 /// An optimisation that was begun.
@@ -146,6 +151,7 @@ impl Atlas {
             way_m: 0.0,
             unused: 0,
             running: None,
+            without_blocks: BTreeSet::new(),
         }
     }
 
@@ -157,10 +163,14 @@ impl Atlas {
         self.submap(number).world_from_submap
     }
 
-    /// Begins a submap at a camera's pose in another one; its number.
-    pub(crate) fn begin(&mut self, parent: u16, parent_from_camera: &Se3) -> Option<u16> {
+    /// The number of the next submap, unless there are as many as there can be.
+    pub(crate) fn next_number(&self) -> Option<u16> {
         // 65535 is the key of blocks that are not in use.
-        let number = u16::try_from(self.submaps.len()).ok().filter(|number| *number < u16::MAX)?;
+        u16::try_from(self.submaps.len()).ok().filter(|number| *number < u16::MAX)
+    }
+
+    /// Begins a submap at a camera's pose in another one.
+    pub(crate) fn begin(&mut self, parent: u16, parent_from_camera: &Se3) {
         self.submaps.push(Submap {
             world_from_submap: self.world_from(parent) * *parent_from_camera,
             state: SubmapState::Passive,
@@ -168,7 +178,6 @@ impl Atlas {
             central: Vec::new(),
             left_at_m: self.way_m,
         });
-        Some(number)
     }
 
     /// Sets what its first frame saw: centres of blocks, of which as many as the settings say are kept, evenly.
@@ -192,14 +201,8 @@ impl Atlas {
         max_depth_m: f64,
     ) -> f64 {
         let central = &self.submap(number).central;
-        let camera_from_submap = submap_from_camera.inverse();
         let inside = |centre: &&[f32; 3]| {
-            let p = camera_from_submap.transform_point(DVec3::from_array(centre.map(f64::from)));
-            let limits = DVec3::new(f64::from(camera.width) - 0.5, f64::from(camera.height) - 0.5, max_depth_m);
-            p.z <= limits.z
-                && camera
-                    .project(p)
-                    .is_some_and(|pixel| pixel.min_element() >= -0.5 && pixel.x <= limits.x && pixel.y <= limits.y)
+            sees(camera, submap_from_camera, max_depth_m, DVec3::from_array(centre.map(f64::from)))
         };
         central.iter().filter(inside).count() as f64 / central.len().max(1) as f64
     }
@@ -238,7 +241,7 @@ impl Atlas {
         if !first {
             return None;
         }
-        self.unused += u32::from(link.measured(&self.settings).is_some());
+        self.unused = self.unused.saturating_add(link.measured(&self.settings).is_some().into());
         self.links.get(&(from, to, closure))
     }
 
@@ -353,10 +356,11 @@ impl Atlas {
         self.frames.iter().map(pose).collect()
     }
 
-    /// Where each submap lies once all that is known is taken over; nothing is changed by it.
-    pub(crate) fn settled(&self) -> Vec<SubmapPose> {
-        let solved = self.graph().ok().and_then(|graph| RunResult::begin(graph).wait());
-        let poses = solved.map(|(poses, _)| poses).unwrap_or_default();
+    /// Where each submap lies once all that is known is taken over, or as they lie where they are not to move; nothing is changed
+    /// by it.
+    pub(crate) fn settled(&self, moves: bool) -> Vec<SubmapPose> {
+        let graph = if moves { self.graph().ok() } else { None };
+        let poses = graph.and_then(|graph| RunResult::begin(graph).wait()).map(|(poses, _)| poses).unwrap_or_default();
         let submap = |(number, submap): (usize, &Submap)| SubmapPose {
             submap: number as u16,
             world_from_submap: poses.get(number).copied().unwrap_or(submap.world_from_submap),
@@ -394,6 +398,7 @@ impl Atlas {
             way_m,
             unused,
             running: running.map(|(due, solved)| Running { due, result: RunResult::Here(solved) }),
+            without_blocks: BTreeSet::new(),
         };
         (atlas, live)
     }
@@ -409,6 +414,20 @@ impl Atlas {
         self
     }
 
+    /// Takes note of which submaps have blocks; those that have none any more. The one that frames are fused into counts as
+    /// having some.
+    pub(crate) fn note_blocks(&mut self, there: &BTreeSet<u16>, primary: Option<u16>) -> Vec<u16> {
+        let gone = |number: &u16| !there.contains(number) && Some(*number) != primary;
+        let without: BTreeSet<u16> = (0..self.submaps.len() as u16).filter(gone).collect();
+        let new = without.difference(&self.without_blocks).copied().collect();
+        self.without_blocks = without;
+        new
+    }
+
+    pub(crate) fn has_blocks(&self, number: u16) -> bool {
+        !self.without_blocks.contains(&number)
+    }
+
     /// The submap that a camera (world frame) sees most of the middle of.
     pub(crate) fn seen_best_from(&self, camera: &Intrinsics, world_from_camera: &Se3, max_depth_m: f64) -> u16 {
         let share = |number: u16| {
@@ -416,6 +435,17 @@ impl Atlas {
             self.share_in_view(number, camera, &pose, max_depth_m)
         };
         // Of equal ones the first.
-        (0..self.submaps.len() as u16).rev().max_by(|a, b| share(*a).total_cmp(&share(*b))).unwrap_or(0)
+        let there = (0..self.submaps.len() as u16).filter(|number| self.has_blocks(*number));
+        there.rev().max_by(|a, b| share(*a).total_cmp(&share(*b))).unwrap_or(0)
     }
+}
+
+/// Whether a camera has a point in view, were nothing in between.
+pub(crate) fn sees(camera: &Intrinsics, world_from_camera: &Se3, max_depth_m: f64, point: DVec3) -> bool {
+    let p = world_from_camera.inverse().transform_point(point);
+    let limits = DVec3::new(f64::from(camera.width) - 0.5, f64::from(camera.height) - 0.5, max_depth_m);
+    p.z <= limits.z
+        && camera
+            .project(p)
+            .is_some_and(|pixel| pixel.min_element() >= -0.5 && pixel.x <= limits.x && pixel.y <= limits.y)
 }

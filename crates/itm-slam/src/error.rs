@@ -43,10 +43,28 @@ pub enum Error {
     /// A map in which the camera is to be found, and that has nothing to find it by.
     #[error(
         "nothing says where in the map '{}' the camera is: it has no keyframes, or relocaliser.kind is off; give the \
-         first frame's pose",
+         first frame's pose (--start-pose)",
         path.display()
     )]
     NoKeyframes {
+        /// The file.
+        path: std::path::PathBuf,
+    },
+    /// A map in which the camera is to be found, but not by the keyframes that it has.
+    #[error(
+        "nothing says where in the map '{}' the camera is: {reason}; with its own settings its keyframes do, and with the \
+         first frame's pose (--start-pose) the session starts without them",
+        path.display()
+    )]
+    UnusableKeyframes {
+        /// The file.
+        path: std::path::PathBuf,
+        /// What is wrong with them.
+        reason: itm_reloc::Error,
+    },
+    /// A map to start in that holds nothing.
+    #[error("the map '{}' is empty: it holds no blocks", path.display())]
+    EmptyMap {
         /// The file.
         path: std::path::PathBuf,
     },

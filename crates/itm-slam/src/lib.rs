@@ -45,6 +45,7 @@ mod submaps;
 mod swapping;
 pub mod tracking;
 mod views;
+mod warning;
 
 pub use atlas::{Submap, SubmapLink};
 pub use chunked_mesh::{MeshOptions, mesh_blocks, mesh_in_chunks, with_neighbours};
@@ -60,6 +61,7 @@ pub use session::{Event, Session, SessionOptions, Start, Summary};
 pub use slam::{Poses, Sighting, Slam};
 pub use source::BlockSource;
 pub use views::{MapViews, full_confidence};
+pub use warning::Warning;
 
 pub use itm_core::*;
 pub use itm_gpu::render::{Scale, Shading};

@@ -2,8 +2,11 @@
 //! Dense 3D Reconstruction with Loop Closure*, section 2.3).
 
 use itm_core::{Se3, SubmapSettings};
+use itm_graph::{Edge, NodeId, PoseGraph};
 use nalgebra::{Matrix3, Matrix6, Quaternion, UnitQuaternion, Vector6};
 use serde::{Deserialize, Serialize};
+
+use crate::atlas::check_pose;
 
 /// Rounds of reweighting.
 const ROUNDS: usize = 10;
@@ -55,6 +58,34 @@ impl Link {
     /// What it is found by among others.
     pub(crate) fn key(&self) -> (u16, u16, bool) {
         (self.from, self.to, self.closure)
+    }
+
+    /// Why no session with so many submaps can use it, where it was read back from a file.
+    pub(crate) fn check(&self, submaps: usize) -> Result<(), String> {
+        let Self { from, to, .. } = *self;
+        if let Some(missing) = [from, to].into_iter().find(|end| usize::from(*end) >= submaps) {
+            return Err(format!("there is no submap {missing}"));
+        }
+        if from == to {
+            return Err("it joins a submap with itself".into());
+        }
+        for Observation { from_from_to, covariance } in &self.observations {
+            check_pose(from_from_to).map_err(|reason| format!("a frame's measurement of it is none: {reason}"))?;
+            let covariance = Matrix6::from(*covariance);
+            let finite = covariance.iter().all(|value| value.is_finite());
+            if !finite || covariance.symmetric_eigenvalues().min() < -1e-6 * covariance.amax() {
+                return Err("the covariance of a frame's measurement of it is none".into());
+            }
+        }
+        let Some((pose, share)) = self.found else { return Ok(()) };
+        if !(0.0..=1.0).contains(&share) {
+            return Err(format!("{share} is no share of frames"));
+        }
+        let mut graph = PoseGraph::new();
+        let ends = [from, to].map(|end| NodeId(end.into()));
+        let edge = Edge::sequential(ends[0], ends[1], pose, self.information.into());
+        let added = ends.into_iter().try_for_each(|end| graph.add_node(end, Se3::IDENTITY));
+        added.and_then(|()| graph.add_edge(edge)).map_err(|error| error.to_string())
     }
 
     /// Frames that measured it, of those that are kept.

@@ -9,6 +9,7 @@ use itm_gpu::{Device, RaycastImage, View};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::atlas::check_pose;
 use crate::mapper::Model;
 use crate::tracking::{Against, Age, CHECK_LEVELS, Learnt, ModelObjective, Moment, Motion, Tracked, Tracker};
 
@@ -41,6 +42,26 @@ pub(crate) struct LocalState {
     full_cast: Option<(u32, [f64; 3])>,
     motion: Motion,
     learnt: Learnt,
+}
+
+impl LocalState {
+    /// Whether the camera is known to be in the submap.
+    pub(crate) fn is_tracked(&self) -> bool {
+        self.submap_from_model.is_some()
+    }
+
+    /// Forgets where the camera was.
+    pub(crate) fn forget(&mut self) {
+        (self.submap_from_model, self.last_good) = (None, None);
+        self.motion.forget();
+    }
+
+    /// Why no session can go on from it, where it was read back from a file.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        let poses = self.submap_from_model.iter().chain(&self.last_good);
+        let checked = poses.copied().chain(self.motion.last()).try_for_each(|pose| check_pose(&pose));
+        checked.map_err(|reason| format!("the last pose in submap {} is none: {reason}", self.submap))
+    }
 }
 
 /// What a frame is looked at with.

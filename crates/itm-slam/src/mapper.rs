@@ -1,5 +1,7 @@
 //! The map's life: when pools grow, and which stages a frame's fusion takes.
 
+mod taking_in;
+
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use glam::{DVec3, IVec3, UVec3};
@@ -11,10 +13,8 @@ use itm_gpu::hash::Hash;
 use itm_gpu::integrate::{Integrate, IntegrateOptions};
 use itm_gpu::swap::{AGE_BINS, Arrivals, Gather, Left, PlacesReader, Swap, Transfer};
 use itm_gpu::{
-    BlockMap, Device, FrameRecord, HostBlock, MapLayout, MapState, RaycastImage, RecordReader, Recorder, StageTimes,
-    View,
+    BlockMap, Device, FrameRecord, MapLayout, MapState, RaycastImage, RecordReader, Recorder, StageTimes, View,
 };
-use itm_io::map_file::{MapReader, Tag};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -46,6 +46,8 @@ pub(crate) struct Mapper {
     empty: bool,
     /// Whether the next frame is the first of a submap, which asks for as many blocks as a map's first.
     beginning: bool,
+    /// Whether a further submap may begin: a dense one may find no room.
+    may_begin: bool,
     /// Frames that have come so far. (A frame's own index is the caller's, and may start and jump as it likes.)
     frames: u64,
     /// Blocks that the map may grow to.
@@ -199,7 +201,7 @@ impl Mapper {
         map.grow(settings.map.initial_blocks.min(limit))?;
         let dense = settings.map.index == MapIndex::Dense;
         if dense {
-            map.insert_empty(&blocks_of_box(&settings.map.dense))?;
+            map.insert_empty(&blocks_of_box(0, &settings.map.dense))?;
         }
         let swaps = settings.map.swapping != Swapping::Off && !dense;
         let margin_m = if swaps { settings.map.swap_margin_m } else { 0.0 };
@@ -220,6 +222,7 @@ impl Mapper {
             demand: 0,
             empty: true,
             beginning: false,
+            may_begin: true,
             frames: 0,
             limit: if dense { map_capacity } else { limit },
             swapped,
@@ -312,6 +315,9 @@ impl Mapper {
     /// Replaces the map by one that was read back, without its voxels.
     pub(crate) fn restore(&mut self, state: &MapState) -> Result<(), Error> {
         self.map = BlockMap::from_state(&self.device, *self.map.layout(), state)?;
+        if self.settings.map.index == MapIndex::Dense {
+            self.limit = self.map.capacity();
+        }
         Ok(())
     }
 
@@ -355,37 +361,6 @@ impl Mapper {
             // What is left over left in no frame that is still to come.
             swapped.held = Left { keys: keys.collect(), words: words.collect(), changed: changed.collect() };
         }
-    }
-
-    /// Takes blocks of a map file in: into the host's store, from where those near the view come to the device; or to the
-    /// device, where none may leave it.
-    pub(crate) fn take_in(&mut self, reader: &mut MapReader, section: Tag) -> Result<(), Error> {
-        self.empty = false;
-        if let Some(swapped) = self.swapped.as_mut().filter(|_| self.settings.map.swapping == Swapping::Host) {
-            reader.blocks::<Error>(section, |key, words| match key {
-                Some(key) => swapped.put(key, words),
-                None => Ok(()),
-            })?;
-            return Ok(());
-        }
-        let mut some: Vec<(BlockKey, Vec<u32>)> = Vec::new();
-        let limit = self.limit;
-        let map = &mut self.map;
-        let mut insert = |some: &mut Vec<(BlockKey, Vec<u32>)>| -> Result<(), Error> {
-            let wanted = u64::from(map.read_record()?.blocks) + some.len() as u64;
-            if wanted > limit.into() {
-                return Err(itm_gpu::Error::TooManyBlocks { wanted, limit }.into());
-            }
-            let blocks: Vec<_> = some.iter().map(|(key, words)| HostBlock { key: *key, words }).collect();
-            map.insert_blocks(&blocks)?;
-            some.clear();
-            Ok(())
-        };
-        reader.blocks::<Error>(section, |key, words| {
-            some.extend(key.map(|key| (key, words.to_vec())));
-            if some.len() == 16_384 { insert(&mut some) } else { Ok(()) }
-        })?;
-        insert(&mut some)
     }
 
     /// Takes over what an earlier frame's record says. Called once a frame, before anything is allocated.
@@ -561,6 +536,25 @@ impl Mapper {
     /// Whether nothing was fused yet.
     pub(crate) fn is_empty(&self) -> bool {
         self.empty
+    }
+
+    /// Whether blocks may be removed for good.
+    pub(crate) fn removes_blocks(&self) -> bool {
+        self.sweep.is_some() || (self.swapped.is_some() && self.settings.map.swapping == Swapping::Delete)
+    }
+
+    /// The submaps that have blocks, wherever those lie. Waits.
+    pub(crate) fn submaps(&mut self) -> Result<BTreeSet<u16>, Error> {
+        self.read_moved()?;
+        Ok(self.keys()?.map(|key| key.submap).collect())
+    }
+
+    /// The keys of all blocks, wherever those lie, once [`Mapper::read_moved`] has read what is on its way; some of them twice.
+    fn keys(&self) -> Result<impl Iterator<Item = BlockKey>, Error> {
+        let on_device = self.map.read_keys()?.into_iter().flatten();
+        let stored = self.swapped.iter().flat_map(|swapped| swapped.store.keys());
+        let left = self.left().flat_map(|left| left.keys.iter().copied());
+        Ok(on_device.chain(stored).chain(left))
     }
 
     /// Why the host's store cannot keep to its budget, if so.
@@ -755,17 +749,41 @@ impl Mapper {
         let _counted_again = stage.record_ages(recorder, &self.map, camera, submap_from_camera, range, margin_m, next);
     }
 
-    /// The next frame is a submap's first.
-    pub(crate) fn begin_submap(&mut self) {
-        self.beginning = true;
+    /// The next frame is a submap's first. A dense map's submaps each have the box in their own frame; it may find no room, and
+    /// then the map is as it was, and no submap begins any more.
+    pub(crate) fn begin_submap(&mut self, submap: u16) -> Result<(), Error> {
+        if self.settings.map.index == MapIndex::Dense {
+            let inserted = self.map.insert_empty(&blocks_of_box(submap, &self.settings.map.dense));
+            self.may_begin = inserted.is_ok();
+            inserted?;
+            self.limit = self.map.capacity();
+        } else {
+            self.beginning = true;
+        }
+        Ok(())
+    }
+
+    /// Whether a further submap may find room.
+    pub(crate) fn may_begin_submap(&self) -> bool {
+        self.may_begin
     }
 
     /// Centres of a submap's blocks on the device, in metres, in the order of their indices. Waits.
     pub(crate) fn block_centres(&self, submap: u16) -> Result<Vec<DVec3>, Error> {
-        let voxel_m = f64::from(self.map.layout().voxel_size_m);
-        let side = f64::from(BLOCK_SIDE);
         let keys = self.map.read_keys()?.into_iter().flatten().filter(|key| key.submap == submap);
-        Ok(keys.map(|key| (key.position.as_dvec3() * side + 0.5 * (side - 1.0)) * voxel_m).collect())
+        Ok(keys.map(|key| self.centre(key)).collect())
+    }
+
+    /// Centres of all of a submap's blocks in metres, wherever they lie, in the order of their keys. Waits.
+    pub(crate) fn all_block_centres(&mut self, submap: u16) -> Result<Vec<DVec3>, Error> {
+        self.read_moved()?;
+        let keys: BTreeSet<[u32; 2]> = self.keys()?.filter(|key| key.submap == submap).map(BlockKey::pack).collect();
+        Ok(keys.into_iter().map(|key| self.centre(BlockKey::unpack(key))).collect())
+    }
+
+    fn centre(&self, key: BlockKey) -> DVec3 {
+        let side = f64::from(BLOCK_SIDE);
+        (key.position.as_dvec3() * side + 0.5 * (side - 1.0)) * f64::from(self.map.layout().voxel_size_m)
     }
 
     /// Records what the next frame is tracked against: the map cast anew, or, where the settings ask for it, what the last
@@ -792,14 +810,14 @@ impl Mapper {
     }
 }
 
-/// The keys of all blocks of a dense map, x fastest.
-fn blocks_of_box(dense: &DenseSettings) -> Vec<BlockKey> {
+/// The keys of all blocks of a dense submap, x fastest.
+fn blocks_of_box(submap: u16, dense: &DenseSettings) -> Vec<BlockKey> {
     let ([w, h, d], offset) = dense.blocks();
     let first = IVec3::from_array(offset);
     let at = |x: u32, y: u32, z: u32| first + UVec3::new(x, y, z).as_ivec3();
     (0..d)
         .flat_map(|z| (0..h).flat_map(move |y| (0..w).map(move |x| at(x, y, z))))
-        .map(|position| BlockKey { submap: 0, position })
+        .map(|position| BlockKey { submap, position })
         .collect()
 }
 

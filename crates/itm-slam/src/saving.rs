@@ -4,20 +4,21 @@
 //! on from it does, to the bit, what the one that was saved would have done. What was on its way between device and host is
 //! read when the session is saved, and still taken over at its frame.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use itm_core::voxel::BlockKey;
-use itm_core::{Se3, Settings};
+use itm_core::{MapIndex, Mode, Se3, Settings, SubmapSettings};
 use itm_gpu::swap::Left;
 use itm_gpu::{Device, HostBlock, MapState};
 use itm_io::map_file::{MapHeader, MapReader, MapWriter, Tag, tag};
 use serde::{Deserialize, Serialize};
 
-use crate::atlas::{Atlas, AtlasState};
+use crate::atlas::{Atlas, AtlasState, LeftOut};
 use crate::local::{Local, LocalState};
 use crate::mapper::MapperState;
 use crate::submaps::{Beside, Life};
-use crate::{Error, Poses, Slam};
+use crate::{Error, Poses, Slam, Warning};
 
 /// What a session needs beside its map to go on.
 const STATE: Tag = *b"STAT";
@@ -89,22 +90,34 @@ pub fn settings_of(header: &MapHeader, path: &Path) -> Result<Settings, Error> {
     Ok(Settings::resolve(Some((&format!("the settings in '{}'", path.display()), &header.settings)), &[])?)
 }
 
-fn read_state(reader: &mut MapReader, path: &Path) -> Result<State, Error> {
-    let unfit = |reason: String| Error::SavedState { path: path.to_path_buf(), reason };
-    if !reader.has(STATE) {
-        return Err(unfit("it holds a map, but no session that could go on; --map starts a new one in it".into()));
-    }
-    let text = String::from_utf8(reader.bytes(STATE)?).map_err(|e| unfit(e.to_string()))?;
-    toml::from_str(&text).map_err(|e| unfit(e.to_string()))
+fn unfit(path: &Path, section: Tag, reason: impl std::fmt::Display) -> Error {
+    let reason = format!("section {}: {reason}", section.escape_ascii());
+    Error::SavedState { path: path.to_path_buf(), reason }
 }
 
-fn read_atlas(reader: &mut MapReader, path: &Path) -> Result<Option<AtlasState>, Error> {
-    if !reader.has(ATLAS) {
-        return Ok(None);
+fn read_state(reader: &mut MapReader, path: &Path) -> Result<State, Error> {
+    if !reader.has(STATE) {
+        let reason = "it holds a map, but no session that could go on; --map starts a new one in it".into();
+        return Err(Error::SavedState { path: path.to_path_buf(), reason });
     }
-    let unfit = |reason: String| Error::SavedState { path: path.to_path_buf(), reason };
-    let text = String::from_utf8(reader.bytes(ATLAS)?).map_err(|e| unfit(e.to_string()))?;
-    toml::from_str(&text).map(Some).map_err(|e| unfit(e.to_string()))
+    let text = String::from_utf8(reader.bytes(STATE)?).map_err(|e| unfit(path, STATE, e))?;
+    toml::from_str(&text).map_err(|e| unfit(path, STATE, e.to_string().trim_end()))
+}
+
+/// The submaps as the file has them, and what of them is no use; without what is the session's own where another one begins.
+fn read_atlas(
+    reader: &mut MapReader,
+    path: &Path,
+    settings: &SubmapSettings,
+    afresh: bool,
+) -> Result<(AtlasState, Vec<LeftOut>), Error> {
+    let text = String::from_utf8(reader.bytes(ATLAS)?).map_err(|e| unfit(path, ATLAS, e))?;
+    let mut state: AtlasState = toml::from_str(&text).map_err(|e| unfit(path, ATLAS, e.to_string().trim_end()))?;
+    if afresh {
+        state.forget_session();
+    }
+    let left_out = state.check(settings).map_err(|reason| unfit(path, ATLAS, reason))?;
+    Ok((state, left_out))
 }
 
 /// The sections of what the next frame is tracked against, in the primary submap and in those beside it: points and normals,
@@ -114,6 +127,11 @@ fn sections_of(place: usize) -> [Tag; 3] {
         Ok(0) | Err(_) => [*b"MODL", *b"LSTP", *b"LSTM"],
         Ok(place) => [b"MO", b"LP", b"LM"].map(|[a, b]| [*a, *b, b'0' + place / 10, b'0' + place % 10]),
     }
+}
+
+/// Why blocks of a submap are no use.
+fn no_place(submap: u16) -> String {
+    format!("there are blocks of submap {submap}, but nothing says where it lies in the world")
 }
 
 /// Numbers as bytes, least significant first.
@@ -182,19 +200,18 @@ impl Slam {
                 Ok(())
             })?;
         }
-        let unfit = |e: toml::ser::Error| Error::SavedState { path: path.to_path_buf(), reason: e.to_string() };
         match &mut self.atlas {
             None => writer.trajectory(&self.trajectory)?,
             Some(atlas) => {
-                let submaps = atlas.settled();
+                let submaps = atlas.settled(self.settings.map.fuse);
                 let world_from = |submap: u16| submaps[usize::from(submap)].world_from_submap;
                 writer.trajectory(&atlas.trajectory_with(world_from))?;
                 writer.submaps(&submaps)?;
-                let text = toml::to_string(&atlas.state(&self.trajectory)).map_err(unfit)?;
+                let text = toml::to_string(&atlas.state(&self.trajectory)).map_err(|e| unfit(path, ATLAS, e))?;
                 writer.bytes(ATLAS, text.as_bytes())?;
             }
         }
-        let text = toml::to_string(&state).map_err(unfit)?;
+        let text = toml::to_string(&state).map_err(|e| unfit(path, STATE, e))?;
         writer.bytes(STATE, text.as_bytes())?;
         writer.bytes(COUNTERS, &to_bytes(on_device.counters))?;
         writer.bytes(FREE_BLOCKS, &to_bytes(on_device.free_blocks))?;
@@ -229,7 +246,8 @@ impl Slam {
     /// same bits come out on the same adapter only.
     ///
     /// # Errors
-    /// Where the file cannot be read or holds no session, or the device has no room for it.
+    /// Where the file cannot be read or holds no session, what it says of the submaps cannot be, or the device has no room for
+    /// it. What is no use but not needed either is left out: see [`Slam::next_warning`].
     pub fn resume(device: &Device, path: &Path) -> Result<Self, Error> {
         let mut reader = MapReader::open(path)?;
         let mut state = read_state(&mut reader, path)?;
@@ -237,6 +255,20 @@ impl Slam {
         let poses = if state.poses_given { Poses::Given } else { Poses::Tracked };
         let mut slam = Self::new(device, &reader.header().calibration.clone(), &settings, poses)?;
         let kind = reader.header().voxel_kind;
+        slam.trajectory = reader.trajectory()?;
+        if slam.atlas.is_some() {
+            let (atlas, left_out) = read_atlas(&mut reader, path, &settings.submaps, false)?;
+            let (atlas, live) = Atlas::from_state(&settings.submaps, atlas);
+            (slam.atlas, slam.trajectory) = (Some(atlas), live);
+            slam.tell_left_out(path, ATLAS, left_out);
+        }
+        let submaps = slam.submaps().len().max(1);
+        let known = |submap: u16| usize::from(submap) < submaps;
+        if !known(state.primary.submap) {
+            let reason = format!("frames are fused into submap {}, which is not there", state.primary.submap);
+            return Err(unfit(path, STATE, reason));
+        }
+        state.primary.check().map_err(|reason| unfit(path, STATE, reason))?;
 
         let mut keys = Vec::new();
         reader.blocks::<Error>(tag::BLOCKS, |key, _| {
@@ -302,13 +334,40 @@ impl Slam {
             })?;
         }
         slam.mapper.set_state(&mut state.mapper, left, kind.block_words());
-        for (state, life) in state.beside {
-            let mut local = slam.new_local(state.submap)?;
-            local.set_state(state);
+        let there = slam.mapper.submaps()?;
+        if let Some(unknown) = there.iter().find(|submap| !known(**submap)) {
+            return Err(Error::SavedState { path: path.to_path_buf(), reason: no_place(*unknown) });
+        }
+        // The place of each one's sections in the file.
+        let mut places = vec![0];
+        for ((beside, life), place) in state.beside.into_iter().zip(1..) {
+            let submap = beside.submap;
+            let twice = slam.locals().skip(1).any(|local| local.submap == submap) || submap == state.primary.submap;
+            let checked = match () {
+                () if !known(submap) => Err("it is not there".into()),
+                () if twice => Err("it is tracked in already".into()),
+                () => beside.check().and_then(|()| life.check(submap, submaps)),
+            };
+            if let Err(reason) = checked {
+                slam.tell_left_out(path, STATE, [LeftOut { what: format!("tracking in submap {submap} is"), reason }]);
+                continue;
+            }
+            let mut local = slam.new_local(submap)?;
+            local.set_state(beside);
             slam.beside.push(Beside { local, life });
+            places.push(place);
+        }
+        let active: Vec<u16> =
+            slam.beside.iter().filter(|beside| beside.life.is_settled()).map(|beside| beside.local.submap).collect();
+        let (primary, tracked) = (state.primary.submap, state.primary.is_tracked());
+        let roles = slam.atlas.as_mut().map(|atlas| atlas.set_roles(primary, tracked, &active));
+        slam.tell_left_out(path, ATLAS, roles.into_iter().flatten());
+        if submaps > 1 && !there.contains(&primary) {
+            // There is nothing to go on in: the camera is to be found in another one.
+            state.primary.forget();
         }
         slam.primary.set_state(state.primary);
-        for (place, local) in slam.locals().enumerate() {
+        for (place, local) in places.into_iter().zip(slam.locals()) {
             let [model, lists @ ..] = sections_of(place);
             local.model.image.write_bytes(device, &reader.bytes(model)?)?;
             for (tag, list) in lists.into_iter().zip(&local.lists) {
@@ -317,12 +376,10 @@ impl Slam {
                 }
             }
         }
-        slam.trajectory = reader.trajectory()?;
-        if let Some(state) = read_atlas(&mut reader, path)? {
-            let (atlas, live) = Atlas::from_state(&settings.submaps, state);
-            (slam.atlas, slam.trajectory) = (Some(atlas), live);
+        if let Some(error) = slam.load_keyframes(&mut reader, path)? {
+            slam.leave_out_keyframes(path, &error);
         }
-        slam.load_keyframes(&mut reader)?;
+        slam.leave_out_without_blocks(None)?;
         slam.next_frame = state.next_frame;
         slam.next_look = state.next_look;
         Ok(slam)
@@ -333,22 +390,45 @@ impl Slam {
         std::iter::once(&self.primary).chain(self.beside.iter().map(|beside| &beside.local))
     }
 
-    /// Takes in a map's keyframes, where it has any and the settings ask for a relocaliser.
-    fn load_keyframes(&mut self, reader: &mut MapReader) -> Result<(), Error> {
-        if let Some(places) = &mut self.places
-            && reader.has(KEYFRAMES)
-        {
-            places.relocaliser.load(&reader.bytes(KEYFRAMES)?)?;
+    /// Takes in a map's keyframes, where it has any and the settings ask for a relocaliser. What is wrong with them, where
+    /// that cannot be done.
+    fn load_keyframes(&mut self, reader: &mut MapReader, path: &Path) -> Result<Option<itm_reloc::Error>, Error> {
+        let submaps = self.submaps().len().max(1);
+        let Some(places) = self.places.as_mut().filter(|_| reader.has(KEYFRAMES)) else { return Ok(None) };
+        if let Err(error) = places.relocaliser.load(&reader.bytes(KEYFRAMES)?) {
+            return Ok(Some(error));
         }
-        Ok(())
+        let of_submaps: BTreeSet<u16> = places.relocaliser.keyframes().iter().map(|keyframe| keyframe.submap).collect();
+        let unknown = of_submaps.into_iter().filter(|submap| usize::from(*submap) >= submaps);
+        let remove = |submap| LeftOut {
+            what: format!("{} keyframes of submap {submap} are", places.relocaliser.remove_submap(submap)),
+            reason: "it is not there".into(),
+        };
+        let left_out: Vec<_> = unknown.map(remove).collect();
+        self.tell_left_out(path, KEYFRAMES, left_out);
+        Ok(None)
+    }
+
+    fn leave_out_keyframes(&mut self, path: &Path, error: &itm_reloc::Error) {
+        let reason = format!("{error}; a lost camera is found again only where this session has been");
+        self.tell_left_out(path, KEYFRAMES, [LeftOut { what: "the keyframes are".into(), reason }]);
+    }
+
+    fn tell_left_out(&mut self, path: &Path, section: Tag, left_out: impl IntoIterator<Item = LeftOut>) {
+        let section = section.escape_ascii().to_string();
+        for LeftOut { what, reason } in left_out {
+            self.warn(Warning::LeftOut { path: path.to_path_buf(), section: section.clone(), what, reason });
+        }
     }
 
     /// Starts a new session in a saved map: at a pose in it, or, without one, wherever the relocaliser finds the first frames.
     /// Its voxels' size and kind are the map's, to which the settings must agree.
     ///
     /// # Errors
-    /// Where the file cannot be read, the settings disagree with it, or the device has no room for it; without a pose also where
-    /// the map has no keyframes, or they were made with other settings. (With one such keyframes are left out, with a warning.)
+    /// Where the file cannot be read or holds no blocks, the settings disagree with it, what it says of the submaps cannot be, or
+    /// the device has no room for it; without a pose also where the map has no keyframes, or they were made with other
+    /// settings. With one such keyframes are left out, as is all that is no use but not needed either: see
+    /// [`Slam::next_warning`].
     pub fn in_map(
         device: &Device,
         calibration: &itm_core::Calibration,
@@ -369,32 +449,70 @@ impl Slam {
         differs("map.voxel_size_m", header.voxel_size_m.to_string(), layout.voxel_size_m.to_string())?;
         differs("map.truncation_m", header.truncation_m.to_string(), layout.truncation_m.to_string())?;
         differs("voxels", format!("{:?}", header.voxel_kind), format!("{:?}", layout.kind))?;
-        for section in [tag::BLOCKS, tag::HOST_BLOCKS, LEFT] {
-            if reader.has(section) {
-                slam.mapper.take_in(&mut reader, section)?;
-            }
-        }
         // What the map shows was observed as often as its weights say.
         slam.primary.age.frames = frames;
-        let submaps = reader.submaps()?.len();
-        if submaps > 1 && slam.atlas.is_none() {
-            differs("submaps:", submaps.to_string(), format!("mode = \"{}\"", settings.mode.name()))?;
-        }
-        if let (Some(state), Some(_)) = (read_atlas(&mut reader, path)?, &slam.atlas) {
+        let poses = reader.submaps()?;
+        if slam.atlas.is_none() {
+            let map = match &poses[..] {
+                [] => None,
+                [one] if one.submap == 0 && one.world_from_submap == Se3::IDENTITY => None,
+                [_] => Some("one that is not the world's own".to_owned()),
+                more => Some(more.len().to_string()),
+            };
+            if let Some(map) = map {
+                let settings = match settings.mode {
+                    Mode::Basic => "mode = \"basic\"".to_owned(),
+                    Mode::LoopClosure => "that poses come from files, which are those of one map".to_owned(),
+                };
+                differs("submaps:", map, settings)?;
+            }
+        } else if reader.has(ATLAS) {
+            let (state, left_out) = read_atlas(&mut reader, path, &settings.submaps, true)?;
             slam.atlas = Some(Atlas::from_state(&settings.submaps, state).0.afresh());
+            slam.tell_left_out(path, ATLAS, left_out);
+        } else if !poses.is_empty() {
+            let atlas = Atlas::of_poses(&settings.submaps, &poses);
+            slam.atlas = Some(atlas.map_err(|reason| unfit(path, tag::SUBMAPS, reason))?);
         }
-        match (slam.load_keyframes(&mut reader), world_from_camera) {
-            (Ok(()), None) => {
+        let submaps = slam.submaps().len().max(1);
+        if settings.map.index == MapIndex::Dense {
+            (1..submaps as u16).try_for_each(|submap| slam.mapper.begin_submap(submap))?;
+        }
+        for section in [tag::BLOCKS, tag::HOST_BLOCKS, LEFT] {
+            let outside = if reader.has(section) { slam.mapper.take_in(&mut reader, section)? } else { 0 };
+            if outside > 0 {
+                let reason = "they lie outside of map.dense".into();
+                slam.tell_left_out(path, section, [LeftOut { what: format!("{outside} blocks are"), reason }]);
+            }
+        }
+        let there = slam.mapper.submaps()?;
+        if there.is_empty() {
+            return Err(Error::EmptyMap { path: path.to_path_buf() });
+        }
+        if let Some(unknown) = there.iter().find(|submap| usize::from(**submap) >= submaps) {
+            return Err(Error::SavedState { path: path.to_path_buf(), reason: no_place(*unknown) });
+        }
+        if let Some(atlas) = &mut slam.atlas {
+            for submap in (0..submaps as u16).filter(|submap| there.contains(submap)) {
+                if !atlas.has_central(submap) {
+                    atlas.set_central(submap, &slam.mapper.all_block_centres(submap)?);
+                }
+            }
+        }
+        let unusable = slam.load_keyframes(&mut reader, path)?;
+        slam.leave_out_without_blocks(None)?;
+        match (unusable, world_from_camera) {
+            (None, None) => {
                 if slam.places.as_ref().is_none_or(|places| places.relocaliser.keyframes().is_empty()) {
                     return Err(Error::NoKeyframes { path: path.to_path_buf() });
                 }
             }
-            (Ok(()), Some(pose)) => slam.start_in_world(pose)?,
-            (Err(Error::Relocaliser(error)), Some(pose)) => {
-                tracing::warn!("the keyframes of '{}' are left out: {error}", path.display());
+            (None, Some(pose)) => slam.start_in_world(pose)?,
+            (Some(error), Some(pose)) => {
+                slam.leave_out_keyframes(path, &error);
                 slam.start_in_world(pose)?;
             }
-            (Err(error), _) => return Err(error),
+            (Some(reason), None) => return Err(Error::UnusableKeyframes { path: path.to_path_buf(), reason }),
         }
         Ok(slam)
     }

@@ -10,7 +10,7 @@ use itm_core::{Mesh, Se3, Settings, SettingsError, Timestamp, TrackerKind, Track
 use itm_io::recording::{ReadAhead, Recording, RecordingInfo};
 use itm_io::trajectory::PoseFiles;
 
-use crate::{Device, Error, FrameReport, FrameResult, FrameStatus, Poses, SavedSession, Slam};
+use crate::{Device, Error, FrameReport, FrameResult, FrameStatus, Poses, SavedSession, Slam, Warning};
 
 /// How a recording is run.
 #[derive(Clone, Debug)]
@@ -61,6 +61,8 @@ pub enum Event {
         /// Why.
         reason: String,
     },
+    /// Something was no use, and is left out.
+    Warning(Warning),
     /// No more frames come. Sent once, last.
     Finished(Summary),
 }
@@ -323,6 +325,9 @@ impl Iterator for Session {
     fn next(&mut self) -> Option<Event> {
         if self.finished {
             return None;
+        }
+        if let Some(warning) = self.slam.next_warning() {
+            return Some(Event::Warning(warning));
         }
         if self.stop.load(Ordering::Relaxed) {
             self.summary.stopped = true;

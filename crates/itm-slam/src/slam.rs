@@ -1,5 +1,7 @@
 //! The core: frames in, poses and a map out. Synchronous, without threads.
 
+use std::collections::VecDeque;
+
 use itm_core::{
     Calibration, ColourImage, Frame, Intrinsics, Mesh, Mode, ObservationWeight, OnFailure, Se3, Settings, StampedPose,
     Trajectory,
@@ -25,6 +27,7 @@ use crate::source::BlockSource as _;
 use crate::submaps::Beside;
 use crate::tracking::{Against, Tracked, Tracker, Verdict, colour_offset};
 use crate::views::MapViews;
+use crate::warning::Warning;
 use itm_reloc::Keyframe;
 
 /// Where poses come from.
@@ -65,6 +68,8 @@ pub struct Slam {
     pub(crate) next_frame: u64,
     /// What answers questions about the map; made when first asked.
     pub(crate) questions: Option<Questions>,
+    /// What nobody has asked for yet.
+    warnings: VecDeque<Warning>,
 }
 
 impl std::fmt::Debug for Slam {
@@ -109,7 +114,8 @@ impl Slam {
             evaluator: Evaluator::new(device),
             primary: Local::new(device, calibration, &tracker, &needs, 0)?,
             beside: Vec::new(),
-            atlas: (settings.mode == Mode::LoopClosure && poses == Poses::Tracked)
+            // Poses from elsewhere are those of one map.
+            atlas: (settings.mode == Mode::LoopClosure && poses == Poses::Tracked && !tracker.takes_poses())
                 .then(|| Atlas::new(&settings.submaps)),
             next_look: 0,
             needs,
@@ -120,6 +126,7 @@ impl Slam {
             trajectory: Trajectory::default(),
             next_frame: 0,
             questions: None,
+            warnings: VecDeque::new(),
         })
     }
 
@@ -172,6 +179,43 @@ impl Slam {
         Ok((record.blocks - record.free_blocks) as usize + self.stored_blocks())
     }
 
+    /// What was no use and was left out, the earliest first, each told once; `None` where all was told.
+    pub fn next_warning(&mut self) -> Option<Warning> {
+        self.warnings.pop_front()
+    }
+
+    pub(crate) fn warn(&mut self, warning: Warning) {
+        tracing::warn!("{warning}");
+        self.warnings.push_back(warning);
+    }
+
+    /// Goes on in the submap that there is, where another one finds no room.
+    pub(crate) fn no_room_for_submap(&mut self, error: Error) -> Result<(), Error> {
+        use itm_gpu::Error::{OutOfMemory, TooManyBlocks};
+        let Error::Gpu(reason @ (TooManyBlocks { .. } | OutOfMemory { .. })) = error else { return Err(error) };
+        self.warn(Warning::NoFurtherSubmap { reason: reason.to_string() });
+        Ok(())
+    }
+
+    /// Leaves out submaps all of whose blocks were removed, where any can be.
+    pub(crate) fn leave_out_emptied(&mut self) -> Result<(), Error> {
+        if self.mapper.removes_blocks() { self.leave_out_without_blocks(Some(self.primary.submap)) } else { Ok(()) }
+    }
+
+    /// Leaves out submaps without blocks, but for the one that frames are fused into: no keyframe leads there any more.
+    pub(crate) fn leave_out_without_blocks(&mut self, primary: Option<u16>) -> Result<(), Error> {
+        if self.submaps().len() < 2 {
+            return Ok(());
+        }
+        let there = self.mapper.submaps()?;
+        let gone = self.atlas.as_mut().map(|atlas| atlas.note_blocks(&there, primary)).unwrap_or_default();
+        for submap in gone {
+            let keyframes = self.places.as_mut().map_or(0, |places| places.relocaliser.remove_submap(submap));
+            self.warn(Warning::SubmapWithoutBlocks { submap, keyframes });
+        }
+        Ok(())
+    }
+
     /// Takes in a frame: view, track, allocate, integrate, raycast.
     ///
     /// # Errors
@@ -198,7 +242,8 @@ impl Slam {
         let report = self.mapper.consume()?.map(|late| self.report(late));
         self.primary.motion.sense(frame);
         let located = if world_from_camera.is_finite() {
-            Located { pose: Some(*world_from_camera), fuse: true, ..Located::without(FrameStatus::Placed) }
+            let pose = self.to_primary(world_from_camera);
+            Located { pose: Some(pose), fuse: true, ..Located::without(FrameStatus::Placed) }
         } else {
             Located::without(FrameStatus::NoPose)
         };
@@ -333,6 +378,7 @@ impl Slam {
     /// Finds the frame among the places that the camera has been at. It is followed, but fused only once further frames are
     /// good.
     fn relocalise(&mut self, frame: &Frame) -> Result<Option<Located>, Error> {
+        self.leave_out_emptied()?;
         let Self { device, places, mapper, evaluator, view, calibration, settings, .. } = self;
         let Some(places) = places else { return Ok(None) };
         let candidates = places.candidates(device, &|_| true)?;
@@ -440,7 +486,7 @@ impl Slam {
             }
             if let Some(world_from_camera) = pose {
                 if fused {
-                    self.note_central()?;
+                    self.note_central(&world_from_camera)?;
                 }
                 self.primary.age.frames += u64::from(fused);
                 self.primary.submap_from_model = Some(world_from_camera);
@@ -541,9 +587,10 @@ impl Slam {
         Ok(self.extract.run(&self.mapper.map, &itm_gpu::mesh::Options::default(), progress)?)
     }
 
-    /// Optimises the submaps' poses with all that is known, at the end of a run; what was done, where there is more than one.
+    /// Optimises the submaps' poses with all that is known, at the end of a run; what was done, where there is more than one and
+    /// frames are fused.
     pub fn settle(&mut self) -> Option<Happening> {
-        self.atlas.as_mut().filter(|atlas| atlas.submaps.len() > 1)?.finish()
+        self.atlas.as_mut().filter(|atlas| atlas.submaps.len() > 1 && self.settings.map.fuse)?.finish()
     }
 
     /// Does something with the submaps' blocks as one map's.

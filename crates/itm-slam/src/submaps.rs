@@ -2,12 +2,12 @@
 //! Reconstruction with Loop Closure*): the camera is tracked in all that are active, frames are fused into one of them, a new
 //! one begins where the camera leaves its middle, and passive ones become active again where the camera comes back.
 
-use itm_core::{Frame, Se3};
+use itm_core::{Frame, MapIndex, Se3};
 use itm_io::map_file::SubmapState;
 use itm_reloc::Keyframe;
 use serde::{Deserialize, Serialize};
 
-use crate::atlas::{Atlas, Submap, SubmapLink};
+use crate::atlas::{Atlas, Submap, SubmapLink, sees};
 use crate::happening::Happening;
 use crate::link::{Link, Observation};
 use crate::local::{Eyes, Local};
@@ -29,6 +29,20 @@ pub(crate) struct Life {
     failed: u32,
     /// Where it is not sure yet that the camera is there.
     trial: Option<Trial>,
+}
+
+impl Life {
+    /// Whether the camera is tracked in the submap for good.
+    pub(crate) fn is_settled(&self) -> bool {
+        self.trial.is_none()
+    }
+
+    /// Why no session with so many submaps can use it for one of them, where it was read back from a file.
+    pub(crate) fn check(&self, submap: u16, submaps: usize) -> Result<(), String> {
+        let Some(Trial { link, .. }) = &self.trial else { return Ok(()) };
+        link.check(submaps)?;
+        if link.to == submap { Ok(()) } else { Err(format!("what is on trial is submap {}", link.to)) }
+    }
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -73,6 +87,14 @@ impl Slam {
         }
     }
 
+    /// A pose in the world as one in the primary submap.
+    pub(crate) fn to_primary(&self, world_from_camera: &Se3) -> Se3 {
+        match &self.atlas {
+            Some(atlas) => atlas.world_from(self.primary.submap).inverse() * *world_from_camera,
+            None => *world_from_camera,
+        }
+    }
+
     /// Follows the camera in the submaps beside the primary, once its pose there is known; decides which is the primary from
     /// here on. `before` is the last frame's pose. Returns the frame's pose in what is the primary now.
     pub(crate) fn tend(
@@ -104,7 +126,10 @@ impl Slam {
         }
         if let Some(atlas) = &mut self.atlas {
             atlas.moved_to(frame.timestamp, self.primary.submap, &pose);
-            happenings.extend(atlas.optimise(self.mapper.frames()));
+            // Where the map is only looked at, its submaps stay where they are.
+            if self.settings.map.fuse {
+                happenings.extend(atlas.optimise(self.mapper.frames()));
+            }
         }
         Ok(pose)
     }
@@ -209,14 +234,16 @@ impl Slam {
         seen: &mut Vec<Seen>,
         happenings: &mut Vec<Happening>,
     ) -> Result<(), Error> {
-        let settings = &self.settings.submaps;
         let now = self.mapper.frames();
         let on_trial = self.beside.iter().any(|beside| beside.life.trial.is_some());
-        let (Some(atlas), Some(places)) = (&self.atlas, &mut self.places) else { return Ok(()) };
+        let settings = &self.settings.submaps;
         if !settings.close_loops || on_trial || now < self.next_look || !now.is_multiple_of(settings.look_every.into())
         {
             return Ok(());
         }
+        self.leave_out_emptied()?;
+        let settings = &self.settings.submaps;
+        let (Some(atlas), Some(places)) = (&self.atlas, &mut self.places) else { return Ok(()) };
         let world_from_camera = atlas.world_from(self.primary.submap) * *pose;
         // Of passive submaps those that the camera can see much of, unless tracking has drifted more than it does: what looks
         // alike elsewhere would come before them.
@@ -234,7 +261,7 @@ impl Slam {
         let in_view = |submap: u16| atlas.share_in_view(submap, &self.calibration.depth, &expected(submap), far_m);
         // Where tracking cannot have drifted far, the camera is where it is thought to be, whatever the view resembles.
         let near = (0..atlas.submaps.len() as u16)
-            .filter(|submap| atlas.submap(*submap).state == SubmapState::Passive)
+            .filter(|submap| atlas.submap(*submap).state == SubmapState::Passive && atlas.has_blocks(*submap))
             .filter(|submap| atlas.drift_allowed_m(*submap) <= settings.expected_within_m)
             .map(|submap| (in_view(submap), submap))
             .filter(|(share, _)| *share >= settings.new_below.max(settings.expected_share))
@@ -318,14 +345,21 @@ impl Slam {
             happenings.push(Happening::Primary { submap: to, from });
             return Ok(std::mem::replace(&mut seen[at].pose, pose));
         }
-        let Some(submap) = atlas.begin(from, &pose) else { return Ok(pose) };
+        // Nothing would be fused into a new one, or it would find no room.
+        if !self.settings.map.fuse || !self.mapper.may_begin_submap() {
+            return Ok(pose);
+        }
+        let Some(submap) = atlas.next_number() else { return Ok(pose) };
+        if let Err(error) = self.mapper.begin_submap(submap) {
+            return self.no_room_for_submap(error).map(|()| pose);
+        }
+        atlas.begin(from, &pose);
         atlas.set_state(from, SubmapState::Active);
         atlas.set_state(submap, SubmapState::Primary);
         let mut local = self.new_local(submap)?;
         local.age = Default::default();
         local.last_good = Some(Se3::IDENTITY);
         local.motion = self.primary.motion.seen_from(&pose.inverse());
-        self.mapper.begin_submap();
         let old = std::mem::replace(&mut self.primary, local);
         self.beside.push(Beside { local: old, life: Life::default() });
         seen.push(Seen { pose, good: true });
@@ -393,6 +427,10 @@ impl Slam {
     pub(crate) fn return_to(&mut self, submap: u16, happenings: &mut Vec<Happening>) -> Result<(), Error> {
         let from = self.primary.submap;
         if submap == from {
+            // In a saved map it was none yet.
+            if let Some(atlas) = &mut self.atlas {
+                atlas.set_state(submap, SubmapState::Primary);
+            }
             return Ok(());
         }
         let known = self.beside.iter().position(|beside| beside.local.submap == submap);
@@ -415,13 +453,19 @@ impl Slam {
         Ok(())
     }
 
-    /// Notes what the primary's first frame saw, once it was fused.
-    pub(crate) fn note_central(&mut self) -> Result<(), Error> {
+    /// Notes what the primary's first frame saw, once it was fused at a pose.
+    pub(crate) fn note_central(&mut self, pose: &Se3) -> Result<(), Error> {
         let submap = self.primary.submap;
         if let Some(atlas) = &mut self.atlas
             && !atlas.has_central(submap)
         {
-            atlas.set_central(submap, &self.mapper.block_centres(submap)?);
+            let mut centres = self.mapper.block_centres(submap)?;
+            if self.settings.map.index == MapIndex::Dense {
+                // All of the box is there from the start.
+                let far_m = f64::from(self.settings.view.max_depth_m);
+                centres.retain(|centre| sees(&self.calibration.depth, pose, far_m, *centre));
+            }
+            atlas.set_central(submap, &centres);
         }
         Ok(())
     }

@@ -80,7 +80,16 @@ fn bad_lines_are_refused_with_their_number() {
         (&format!("EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 1 {identity} 1"), "found 31 values"),
         (&format!("EDGE_SE3:QUAT 0 2 0 0 0 0 0 0 1 {identity}"), "no node 2"),
         (&format!("EDGE_SE3:QUAT 1 1 0 0 0 0 0 0 1 {identity}"), "itself"),
+        (&format!("EDGE_SE3:QUAT 9 0 0 0 0 0 0 0 1 {identity}"), "from node 9 to node 0 has no node 9 to end at"),
+        (&format!("EDGE_SE3:QUAT 0 1 0 NaN 0 0 0 0 1 {identity}"), "expected a finite number, found 'NaN'"),
+        (&format!("EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 inf {identity}"), "expected a finite number, found 'inf'"),
+        (&format!("EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 0 {identity}"), "unit length"),
+        (&format!("EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 1 nan{}", &identity[1..]), "expected a finite number, found 'nan'"),
+        (&format!("EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 1 1e101{}", &identity[1..]), "finite numbers up to 1e100"),
         (&format!("EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 1 -{identity}"), "semidefinite"),
+        ("EDGE_SE2 0 7 0 0 0 1 0 0 1 0 1", "from node 0 to node 7 has no node 7 to end at"),
+        ("EDGE_SE2 0 1 0 0 nan 1 0 0 1 0 1", "expected a finite number, found 'nan'"),
+        ("EDGE_SE2 0 1 0 0 0 1 0 0 1 0 -1", "semidefinite"),
         ("EDGE_SE2 0 1 0 0 0 1 0 0 1 0", "9 numbers"),
     ] {
         let text = format!("# graph\nVERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 0 0 0 0 0 0 1\n{line}\n");

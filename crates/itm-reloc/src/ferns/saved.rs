@@ -18,7 +18,7 @@ use glam::{DQuat, DVec3};
 use itm_core::{RelocaliserImage, Se3, Settings, Timestamp};
 
 use super::codes::CodeTable;
-use crate::{Error, Keyframe};
+use crate::{Difference, Error, Keyframe};
 
 const MAGIC: &[u8; 8] = b"itmferns";
 const VERSION: u32 = 1;
@@ -122,20 +122,28 @@ pub(super) fn read(
     Ok((next_id, keyframes, codes))
 }
 
+/// An error with all of the settings that differ.
 fn compare_settings(text: &[u8], made_with: &[(&'static str, String)]) -> Result<(), Error> {
     let unknown = || damaged("the settings that they were made with cannot be read");
     let text = std::str::from_utf8(text).map_err(|_| unknown())?;
-    let mut lines = text.lines();
+    let found = text.lines().map(|line| line.split_once('=')).collect::<Option<Vec<_>>>().ok_or_else(unknown)?;
+    let mut differences = Vec::new();
     for (setting, expected) in made_with {
-        let (key, found) = lines.next().and_then(|line| line.split_once('=')).ok_or_else(unknown)?;
-        if key != *setting {
-            return Err(unknown());
-        }
-        if found != expected {
-            return Err(Error::SettingDiffers { setting, expected: expected.clone(), found: found.into() });
+        match found.iter().find(|(key, _)| key == setting) {
+            Some((_, found)) if found == expected => {}
+            Some((_, found)) => {
+                differences.push(Difference { setting, expected: expected.clone(), found: (*found).into() });
+            }
+            // Those of depths do not count for colours alone.
+            None if setting.starts_with("view.") => {}
+            None => return Err(unknown()),
         }
     }
-    if lines.next().is_some() { Err(unknown()) } else { Ok(()) }
+    match differences.is_empty() {
+        true if found.len() == made_with.len() => Ok(()),
+        true => Err(unknown()),
+        false => Err(Error::SettingsDiffer { differences }),
+    }
 }
 
 fn damaged(message: &str) -> Error {

@@ -93,6 +93,11 @@ impl Tracker {
         Some(poses.read(frame.index, frame.timestamp).map_err(Error::from))
     }
 
+    /// Whether the tracker, or one that it is made of, takes poses from files.
+    pub(crate) fn takes_poses(&self) -> bool {
+        self.poses.is_some() || self.parts.iter().any(Self::takes_poses)
+    }
+
     /// The plans that the tracker, and those that it is made of, carry out.
     pub fn plans(&self, age: Age) -> Vec<Plan> {
         if self.settings.tracker.kind == TrackerKind::Composite {
