@@ -114,7 +114,7 @@ impl PoseGraph {
         if !initial_cost.is_finite() {
             return Err(self.infinite_edge(&poses));
         }
-        let mut system = System::new(self, 1)?;
+        let mut system = System::new(self)?;
         let (outcome, iterations, final_cost) = self.descend(&mut system, &mut poses, initial_cost, options);
         let held = system.held_ids(self);
         let report_of = |(edge, chi2): (&Edge, f64)| EdgeReport {
@@ -210,7 +210,7 @@ impl Damping {
 
 /// The step and by how much the quadratic model says it lowers the cost, or `None` without a factor.
 fn damped_step(system: &mut System, damping: f64) -> Option<(Vec<f64>, f64)> {
-    let mut added = system.hessian.diagonal(&system.pattern);
+    let mut added = system.hessian.diagonal();
     // Directions without any information must not move, and need a positive diagonal for that. Metres and radians each
     // have their own scale.
     let mut largest = [f64::MIN_POSITIVE; 2];

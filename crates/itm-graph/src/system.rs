@@ -3,8 +3,9 @@
 use itm_core::Se3;
 use nalgebra::Vector6;
 
+use crate::factor::Factor;
 use crate::parts::{held, parts};
-use crate::sparse::{BlockMatrix, DOF, Factor, Pattern, Place};
+use crate::sparse::{BlockMatrix, DOF, Pattern, Place};
 use crate::{Error, NodeId, PoseGraph};
 
 /// Normal equations with the pattern of one graph.
@@ -25,8 +26,8 @@ pub(crate) struct System {
 }
 
 impl System {
-    /// Room for the equations of a graph and for solving with `columns` right-hand sides at once.
-    pub(crate) fn new(graph: &PoseGraph, columns: usize) -> Result<Self, Error> {
+    /// Room for the equations of a graph.
+    pub(crate) fn new(graph: &PoseGraph) -> Result<Self, Error> {
         let parts = parts(graph);
         let held = held(graph, &parts);
         let mut moves: Vec<bool> = graph.nodes().iter().map(|node| !node.fixed).collect();
@@ -43,7 +44,7 @@ impl System {
         Ok(Self {
             hessian: BlockMatrix::zeros(&pattern),
             gradient: vec![0.0; pattern.size()],
-            factor: Factor::new(&pattern, columns).map_err(too_large)?,
+            factor: Factor::new(&pattern).map_err(too_large)?,
             pattern,
             variable_of,
             places,
@@ -83,7 +84,7 @@ impl System {
                 }
             }
             if let Some(place) = place {
-                self.hessian.add(&self.pattern, *place, &blocks.from_to);
+                self.hessian.add(*place, &blocks.from_to);
             }
         }
     }
@@ -91,7 +92,7 @@ impl System {
     /// Factorises the Hessian as it is. Whether it is positive definite by more than rounding.
     pub(crate) fn factorise_determined(&mut self) -> bool {
         // Of a singular matrix rounding may leave tiny positive pivots; with a little less on its diagonal it doesn't.
-        let less: Vec<f64> = self.hessian.diagonal(&self.pattern).iter().map(|d| -1e-14 * d).collect();
+        let less: Vec<f64> = self.hessian.diagonal().iter().map(|d| -1e-14 * d).collect();
         self.factor.factorise(&self.pattern, &self.hessian, &less)
             && self.factor.factorise(&self.pattern, &self.hessian, &[])
     }
