@@ -56,6 +56,8 @@ pub(crate) struct Fronts {
     /// Numbers in the factor, and at most at a time in what fronts leave for others.
     values: usize,
     updates: usize,
+    /// Multiplications and additions for a factor.
+    operations: f64,
 }
 
 impl Fronts {
@@ -93,7 +95,17 @@ impl Fronts {
                 fronts[parent].children.push(at);
             }
         }
-        Self { fronts, in_front, values, updates: updates.most }
+        let operations = |front: &Front| {
+            let (width, height) = front.shape();
+            (0..width).map(|column| ((width + height - column) as f64).powi(2)).sum::<f64>()
+        };
+        let operations = fronts.iter().map(operations).sum();
+        Self { fronts, in_front, values, updates: updates.most, operations }
+    }
+
+    /// Operations for a factor, for each of its numbers.
+    pub(crate) fn operations_by_number(&self) -> f64 {
+        self.operations / (self.values as f64).max(1.0)
     }
 }
 
@@ -168,6 +180,7 @@ pub(crate) struct Factor {
     /// Numbers of a front's rows, when solving.
     below: Vec<f64>,
     memory: MemBuffer,
+    found: bool,
 }
 
 impl Factor {
@@ -185,13 +198,14 @@ impl Factor {
             updates: zeros(fronts.updates)?,
             below: zeros(height)?,
             memory: MemBuffer::try_new(scratch).map_err(|_| TooLarge)?,
+            found: false,
         })
     }
 
     /// Factorises a matrix with `added` on its diagonal. Whether it was positive definite; if not, there is no factor.
     pub(crate) fn factorise(&mut self, pattern: &Pattern, matrix: &BlockMatrix, added: &[f64]) -> bool {
         let Fronts { fronts, in_front, .. } = &pattern.fronts;
-        fronts.iter().all(|front| {
+        self.found = fronts.iter().all(|front| {
             let (width, height) = front.shape();
             let rows = width + height;
             let values = &mut self.values[front.values.clone()];
@@ -233,7 +247,13 @@ impl Factor {
                 Par::Seq,
             );
             true
-        })
+        });
+        self.found
+    }
+
+    /// Whether there is a factor, of the matrix that was factorised last.
+    pub(crate) fn is_found(&self) -> bool {
+        self.found
     }
 
     /// Replaces columns of right-hand sides, one after the other in `columns`, by the solutions.
@@ -288,7 +308,7 @@ fn subtract(a: &mut [f64], x: f64, b: &[f64]) {
 }
 
 /// The product of two vectors, in eight sums, which an adder works on at once.
-fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
     let mut sums = [0.0; 8];
     for (a, b) in a.iter().zip(b) {

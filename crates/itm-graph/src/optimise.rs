@@ -10,7 +10,7 @@ use crate::{Edge, EdgeKind, Error, NodeId, PoseGraph};
 /// When to stop optimising, and how carefully to start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    /// Most factorisations of the normal equations: steps taken and steps refused.
+    /// Most steps, taken and refused.
     pub max_iterations: usize,
     /// Converged once a step can lower the cost by no more than this share of it.
     pub cost_tolerance: f64,
@@ -75,7 +75,7 @@ pub struct EdgeReport {
 pub struct Report {
     /// Why it stopped.
     pub outcome: Outcome,
-    /// Factorisations of the normal equations.
+    /// Steps, taken and refused. Each solves the normal equations once, the last ones often without a new factor.
     pub iterations: usize,
     /// Cost `½ Σ ρ(χ²)` before.
     pub initial_cost: f64,
@@ -94,6 +94,12 @@ impl Report {
         self.outcome == Outcome::Converged
     }
 }
+
+/// A step that lowers the cost by a smaller share may change the Hessian so little that its factor serves for the next.
+const NEAR: f64 = 0.25;
+
+/// What the solution of the normal equations may leave of a step, as a share of what counts as converged.
+const NEGLIGIBLE: f64 = 1e-3;
 
 /// Damping beyond which no step is long enough to matter.
 const MOST_DAMPING: f64 = 1e16;
@@ -142,9 +148,11 @@ impl PoseGraph {
             return (Outcome::Converged, 0, cost);
         }
         system.linearise(self, poses);
+        let mut is_near = false;
         let mut damping = Damping { factor: options.initial_damping, growth: 2.0 };
         for iteration in 1..=options.max_iterations {
-            let Some((step, predicted)) = damped_step(system, damping.factor) else {
+            let negligible = is_near.then_some(NEGLIGIBLE * options.cost_tolerance * cost);
+            let Some((step, predicted)) = damped_step(system, damping.factor, negligible) else {
                 damping.raise();
                 if damping.factor > MOST_DAMPING {
                     return (Outcome::Stalled, iteration, cost);
@@ -159,6 +167,7 @@ impl PoseGraph {
             let negligible =
                 predicted <= options.cost_tolerance * cost || step.iter().all(|x| x.abs() <= options.step_tolerance);
             if lower {
+                is_near = cost - moved_cost < NEAR * cost;
                 damping.lower((cost - moved_cost) / predicted);
                 (*poses, cost) = (moved, moved_cost);
             } else {
@@ -209,7 +218,8 @@ impl Damping {
 }
 
 /// The step and by how much the quadratic model says it lowers the cost, or `None` without a factor.
-fn damped_step(system: &mut System, damping: f64) -> Option<(Vec<f64>, f64)> {
+/// Given what energy is `negligible`, the factor of an earlier step serves if it can.
+fn damped_step(system: &mut System, damping: f64, negligible: Option<f64>) -> Option<(Vec<f64>, f64)> {
     let mut added = system.hessian.diagonal();
     // Directions without any information must not move, and need a positive diagonal for that. Metres and radians each
     // have their own scale.
@@ -222,12 +232,13 @@ fn damped_step(system: &mut System, damping: f64) -> Option<(Vec<f64>, f64)> {
         *diagonal = damping * diagonal.max(1e-12 * largest[row % DOF / 3]);
     }
     // An infinite diagonal would have a factor all the same, and steps of zero that look like convergence.
-    let is_finite = added.iter().all(|d| d.is_finite());
-    if !is_finite || !system.factor.factorise(&system.pattern, &system.hessian, &added) {
+    if !added.iter().all(|d| d.is_finite()) {
         return None;
     }
-    let mut step: Vec<f64> = system.gradient.iter().map(|g| -g).collect();
-    system.factor.solve(&system.pattern, &mut step);
+    let step = match negligible.and_then(|negligible| system.refined(&added, negligible)) {
+        Some(step) => step,
+        None => system.solved(&added)?,
+    };
     // ½ δᵀ (D δ - g), from (H + D) δ = -g.
     let terms = step.iter().zip(&added).zip(&system.gradient).map(|((x, d), g)| 0.5 * x * (d * x - g));
     let predicted = terms.sum::<f64>();

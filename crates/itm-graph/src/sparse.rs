@@ -1,6 +1,6 @@
 //! Sparse symmetric matrices of 6x6 blocks.
 
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Vector6};
 
 use crate::factor::Fronts;
 use crate::order::nested_dissection;
@@ -173,6 +173,28 @@ impl BlockMatrix {
     pub(crate) fn diagonal(&self) -> Vec<f64> {
         self.diagonals.iter().flat_map(|block| (0..DOF).map(|i| block[(i, i)])).collect()
     }
+
+    /// Its product with a vector.
+    pub(crate) fn times(&self, pattern: &Pattern, x: &[f64]) -> Vec<f64> {
+        let part = |i: usize| Vector6::from_column_slice(&x[i * DOF..(i + 1) * DOF]);
+        let mut product = vec![0.0; x.len()];
+        let mut add = |i: usize, sum: Vector6<f64>| {
+            for (p, s) in product[i * DOF..(i + 1) * DOF].iter_mut().zip(sum.iter()) {
+                *p += s;
+            }
+        };
+        for (j, diagonal) in self.diagonals.iter().enumerate() {
+            let x = part(j);
+            let mut sum = diagonal * x;
+            for k in pattern.starts[j]..pattern.starts[j + 1] {
+                let i = pattern.rows[k];
+                sum += self.blocks[k].tr_mul(&part(i));
+                add(i, self.blocks[k] * x);
+            }
+            add(j, sum);
+        }
+        product
+    }
 }
 
 #[cfg(test)]
@@ -217,6 +239,9 @@ mod tests {
             let mut factor = Factor::new(&pattern).unwrap();
             prop_assert!(factor.factorise(&pattern, &matrix, &added));
             let expected = DMatrix::from_fn(pattern.size(), 2, |i, j| numbers[(i + 50 * j) % numbers.len()]);
+            let without = &dense - DMatrix::from_diagonal(&DVector::from_vec(added.clone()));
+            let product = DVector::from_vec(matrix.times(&pattern, expected.column(0).as_slice()));
+            prop_assert!((product - without * expected.column(0)).amax() < 1e-9);
             let mut columns = (&dense * &expected).as_slice().to_vec();
             factor.solve(&pattern, &mut columns);
             let found = DMatrix::from_vec(pattern.size(), 2, columns);
