@@ -42,6 +42,7 @@ mod optimise;
 mod order;
 mod parts;
 mod sparse;
+mod start;
 mod system;
 mod tangent;
 

@@ -4,6 +4,7 @@ use itm_core::Se3;
 use tracing::debug;
 
 use crate::sparse::DOF;
+use crate::start::along_shortest_ways;
 use crate::system::System;
 use crate::{Edge, EdgeKind, Error, NodeId, PoseGraph};
 
@@ -111,6 +112,10 @@ impl PoseGraph {
     /// Poses are changed on the right, `world_from_node * exp(δ)`, with analytic derivatives. The same graph and options
     /// give the same bits on the same machine.
     ///
+    /// It starts from where the nodes are, or from where edges without kernels put them, from what is fixed along the ways
+    /// of the least uncertain rotation, if that costs less: far less where poses come from odometry with its errors
+    /// added up.
+    ///
     /// # Errors
     /// Where an option or the cost that the poses start from is not usable, or memory is short; nothing has moved then.
     pub fn optimise(&mut self, options: &Options) -> Result<Report, Error> {
@@ -121,7 +126,14 @@ impl PoseGraph {
             return Err(self.infinite_edge(&poses));
         }
         let mut system = System::new(self)?;
-        let (outcome, iterations, final_cost) = self.descend(&mut system, &mut poses, initial_cost, options);
+        let mut cost = initial_cost;
+        if let Some(others) = along_shortest_ways(self, &system.held) {
+            let other_cost = self.cost_at(&others);
+            if other_cost < cost {
+                (poses, cost) = (others, other_cost);
+            }
+        }
+        let (outcome, iterations, final_cost) = self.descend(&mut system, &mut poses, cost, options);
         let held = system.held_ids(self);
         let report_of = |(edge, chi2): (&Edge, f64)| EdgeReport {
             from: edge.from,
