@@ -74,19 +74,23 @@ impl Edge {
 
     /// The residual and `χ²` of the edge between nodes at these poses.
     pub(crate) fn error(&self, world_from_from: &Se3, world_from_to: &Se3) -> (Vector6<f64>, f64) {
-        let from_from_to = world_from_from.inverse() * *world_from_to;
-        let residual = log(&(self.from_from_to.inverse() * from_from_to));
+        self.error_of(&(world_from_from.inverse() * *world_from_to))
+    }
+
+    /// The residual and `χ²` of the edge where `to` lies there, seen from `from`.
+    fn error_of(&self, from_from_to: &Se3) -> (Vector6<f64>, f64) {
+        let residual = log(&(self.from_from_to.inverse() * *from_from_to));
         // Rounding may leave the χ² of a semidefinite information below zero, where kernels are not defined.
         (residual, residual.dot(&(self.information * residual)).max(0.0))
     }
 
     /// The edge's part of the normal equations, for steps `world_from_node * exp(δ)`.
     pub(crate) fn linearise(&self, world_from_from: &Se3, world_from_to: &Se3) -> Linearised {
-        let to_from_from = world_from_to.inverse() * *world_from_from;
-        let (residual, chi2) = self.error(world_from_from, world_from_to);
+        let from_from_to = world_from_from.inverse() * *world_from_to;
+        let (residual, chi2) = self.error_of(&from_from_to);
         // E exp(δ_to) moves the residual by J δ_to. A step of `from` is one of `to`, carried over and reversed.
         let jacobian = right_jacobian_inverse(&residual);
-        let carried = adjoint(&to_from_from);
+        let carried = adjoint(&from_from_to.inverse());
         let weighted = self.kernel.weight(chi2) * (jacobian.transpose() * self.information);
         let to_to = weighted * jacobian;
         let to_gradient = weighted * residual;

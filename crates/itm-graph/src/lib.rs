@@ -33,13 +33,16 @@
 
 mod edge;
 mod error;
+mod factor;
 pub mod g2o;
 mod graph;
 mod kernel;
 mod marginals;
 mod optimise;
+mod order;
 mod parts;
 mod sparse;
+mod start;
 mod system;
 mod tangent;
 

@@ -24,7 +24,7 @@ impl PoseGraph {
     /// # Errors
     /// [`Error::Undetermined`] where the edges leave something open; where memory is short.
     pub fn marginals(&self) -> Result<Marginals<'_>, Error> {
-        let mut system = System::new(self, 2 * DOF)?;
+        let mut system = System::new(self)?;
         if !system.is_empty() {
             system.linearise(self, &self.poses());
             if !system.factorise_determined() {

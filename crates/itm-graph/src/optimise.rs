@@ -4,13 +4,14 @@ use itm_core::Se3;
 use tracing::debug;
 
 use crate::sparse::DOF;
+use crate::start::along_shortest_ways;
 use crate::system::System;
 use crate::{Edge, EdgeKind, Error, NodeId, PoseGraph};
 
 /// When to stop optimising, and how carefully to start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    /// Most factorisations of the normal equations: steps taken and steps refused.
+    /// Most steps, taken and refused.
     pub max_iterations: usize,
     /// Converged once a step can lower the cost by no more than this share of it.
     pub cost_tolerance: f64,
@@ -75,7 +76,7 @@ pub struct EdgeReport {
 pub struct Report {
     /// Why it stopped.
     pub outcome: Outcome,
-    /// Factorisations of the normal equations.
+    /// Steps, taken and refused. Each solves the normal equations once, the last ones often without a new factor.
     pub iterations: usize,
     /// Cost `½ Σ ρ(χ²)` before.
     pub initial_cost: f64,
@@ -95,6 +96,12 @@ impl Report {
     }
 }
 
+/// A step that lowers the cost by a smaller share may change the Hessian so little that its factor serves for the next.
+const NEAR: f64 = 0.25;
+
+/// What the solution of the normal equations may leave of a step, as a share of what counts as converged.
+const NEGLIGIBLE: f64 = 1e-3;
+
 /// Damping beyond which no step is long enough to matter.
 const MOST_DAMPING: f64 = 1e16;
 
@@ -105,6 +112,10 @@ impl PoseGraph {
     /// Poses are changed on the right, `world_from_node * exp(δ)`, with analytic derivatives. The same graph and options
     /// give the same bits on the same machine.
     ///
+    /// It starts from where the nodes are, or from where edges without kernels put them, from what is fixed along the ways
+    /// of the least uncertain rotation, if that costs less: far less where poses come from odometry with its errors
+    /// added up.
+    ///
     /// # Errors
     /// Where an option or the cost that the poses start from is not usable, or memory is short; nothing has moved then.
     pub fn optimise(&mut self, options: &Options) -> Result<Report, Error> {
@@ -114,8 +125,15 @@ impl PoseGraph {
         if !initial_cost.is_finite() {
             return Err(self.infinite_edge(&poses));
         }
-        let mut system = System::new(self, 1)?;
-        let (outcome, iterations, final_cost) = self.descend(&mut system, &mut poses, initial_cost, options);
+        let mut system = System::new(self)?;
+        let mut cost = initial_cost;
+        if let Some(others) = along_shortest_ways(self, &system.held) {
+            let other_cost = self.cost_at(&others);
+            if other_cost < cost {
+                (poses, cost) = (others, other_cost);
+            }
+        }
+        let (outcome, iterations, final_cost) = self.descend(&mut system, &mut poses, cost, options);
         let held = system.held_ids(self);
         let report_of = |(edge, chi2): (&Edge, f64)| EdgeReport {
             from: edge.from,
@@ -142,9 +160,11 @@ impl PoseGraph {
             return (Outcome::Converged, 0, cost);
         }
         system.linearise(self, poses);
+        let mut is_near = false;
         let mut damping = Damping { factor: options.initial_damping, growth: 2.0 };
         for iteration in 1..=options.max_iterations {
-            let Some((step, predicted)) = damped_step(system, damping.factor) else {
+            let negligible = is_near.then_some(NEGLIGIBLE * options.cost_tolerance * cost);
+            let Some((step, predicted)) = damped_step(system, damping.factor, negligible) else {
                 damping.raise();
                 if damping.factor > MOST_DAMPING {
                     return (Outcome::Stalled, iteration, cost);
@@ -159,6 +179,7 @@ impl PoseGraph {
             let negligible =
                 predicted <= options.cost_tolerance * cost || step.iter().all(|x| x.abs() <= options.step_tolerance);
             if lower {
+                is_near = cost - moved_cost < NEAR * cost;
                 damping.lower((cost - moved_cost) / predicted);
                 (*poses, cost) = (moved, moved_cost);
             } else {
@@ -209,8 +230,9 @@ impl Damping {
 }
 
 /// The step and by how much the quadratic model says it lowers the cost, or `None` without a factor.
-fn damped_step(system: &mut System, damping: f64) -> Option<(Vec<f64>, f64)> {
-    let mut added = system.hessian.diagonal(&system.pattern);
+/// Given what energy is `negligible`, the factor of an earlier step serves if it can.
+fn damped_step(system: &mut System, damping: f64, negligible: Option<f64>) -> Option<(Vec<f64>, f64)> {
+    let mut added = system.hessian.diagonal();
     // Directions without any information must not move, and need a positive diagonal for that. Metres and radians each
     // have their own scale.
     let mut largest = [f64::MIN_POSITIVE; 2];
@@ -222,12 +244,13 @@ fn damped_step(system: &mut System, damping: f64) -> Option<(Vec<f64>, f64)> {
         *diagonal = damping * diagonal.max(1e-12 * largest[row % DOF / 3]);
     }
     // An infinite diagonal would have a factor all the same, and steps of zero that look like convergence.
-    let is_finite = added.iter().all(|d| d.is_finite());
-    if !is_finite || !system.factor.factorise(&system.pattern, &system.hessian, &added) {
+    if !added.iter().all(|d| d.is_finite()) {
         return None;
     }
-    let mut step: Vec<f64> = system.gradient.iter().map(|g| -g).collect();
-    system.factor.solve(&system.pattern, &mut step);
+    let step = match negligible.and_then(|negligible| system.refined(&added, negligible)) {
+        Some(step) => step,
+        None => system.solved(&added)?,
+    };
     // ½ δᵀ (D δ - g), from (H + D) δ = -g.
     let terms = step.iter().zip(&added).zip(&system.gradient).map(|((x, d), g)| 0.5 * x * (d * x - g));
     let predicted = terms.sum::<f64>();

@@ -68,6 +68,9 @@ fn tail(m: u32, theta2: f64) -> f64 {
         let n = f64::from(2 * k + m);
         term *= -theta2 / (n * (n - 1.0));
         sum += term;
+        if term.abs() < 0.1 * f64::EPSILON * sum {
+            break;
+        }
     }
     sum
 }

@@ -37,6 +37,22 @@ fn the_minimum_is_found_from_odometry() {
 }
 
 #[test]
+fn the_minimum_is_found_from_odometry_that_lost_its_way() {
+    for (shape, seed) in SHAPES.into_iter().flat_map(|shape| (1..4).map(move |seed| (shape, seed))) {
+        // 6 degrees a step.
+        let spec = Spec { seed, ..Spec::new(shape, (0.2, 0.1)) };
+        let mut found = spec.make();
+        let report = found.graph.optimise(&Options::default()).unwrap();
+        let mut best = spec.make();
+        for (node, truth) in best.truth.iter().enumerate() {
+            best.graph.set_pose(NodeId(node as u64), *truth).unwrap();
+        }
+        let from_truth = best.graph.optimise(&Options::default()).unwrap();
+        assert!(report.converged() && (report.final_cost / from_truth.final_cost - 1.0).abs() < 1e-6, "{spec:?}");
+    }
+}
+
+#[test]
 fn errors_are_as_large_as_the_covariances_say() {
     for shape in SHAPES {
         let mut problem = Spec::new(shape, (0.02, 0.01)).make();
