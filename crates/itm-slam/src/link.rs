@@ -10,6 +10,7 @@ use crate::atlas::check_pose;
 
 /// Rounds of reweighting.
 const ROUNDS: usize = 10;
+
 /// One frame's measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Observation {
@@ -19,8 +20,8 @@ pub(crate) struct Observation {
 }
 
 impl Observation {
-    /// Of a camera that is tracked in two submaps, the one with the lower number first. Covariances are those of the camera's pose there, as a twist in the camera's
-    /// own axes.
+    /// Of a camera that is tracked in two submaps, the one with the lower number first. Covariances are those of the camera's
+    /// pose there, as a twist in the camera's own axes.
     pub(crate) fn new(
         [from_from_camera, to_from_camera]: [&Se3; 2],
         [of_from, of_to]: [&Matrix6<f64>; 2],
@@ -68,6 +69,9 @@ impl Link {
         }
         if from == to {
             return Err("it joins a submap with itself".into());
+        }
+        if from > to {
+            return Err("the submap with the higher number comes first".into());
         }
         for Observation { from_from_to, covariance } in &self.observations {
             check_pose(from_from_to).map_err(|reason| format!("a frame's measurement of it is none: {reason}"))?;

@@ -39,9 +39,10 @@ impl Life {
 
     /// Why no session with so many submaps can use it for one of them, where it was read back from a file.
     pub(crate) fn check(&self, submap: u16, submaps: usize) -> Result<(), String> {
-        let Some(Trial { link, .. }) = &self.trial else { return Ok(()) };
+        let Some(Trial { link, from, .. }) = &self.trial else { return Ok(()) };
         link.check(submaps)?;
-        if link.to == submap { Ok(()) } else { Err(format!("what is on trial is submap {}", link.to)) }
+        let on_trial = Trial::link(*from, submap).key() == link.key();
+        if on_trial { Ok(()) } else { Err(format!("what is on trial lies between {} and {}", link.from, link.to)) }
     }
 }
 
@@ -52,6 +53,18 @@ struct Trial {
     /// The primary when it began.
     from: u16,
     link: Link,
+}
+
+impl Trial {
+    /// Of the submap that the camera may be back in, measured from the primary.
+    fn begin(from: u16, submap: u16) -> Self {
+        Self { tries: 0, successes: 0, from, link: Self::link(from, submap) }
+    }
+
+    /// What it is to measure.
+    fn link(from: u16, submap: u16) -> Link {
+        Link::new([from.min(submap), from.max(submap)], true)
+    }
 }
 
 /// What a frame says of an active submap.
@@ -298,9 +311,7 @@ impl Slam {
             return Ok(());
         }
         let local = self.new_local(submap)?;
-        let from = self.primary.submap;
-        let link = Link::new([from.min(submap), from.max(submap)], true);
-        let life = Life { failed: 0, trial: Some(Trial { tries: 0, successes: 0, from, link }) };
+        let life = Life { failed: 0, trial: Some(Trial::begin(self.primary.submap, submap)) };
         self.beside.push(Beside { local, life });
         seen.push(Seen { pose: there, good: true });
         Ok(())
@@ -476,3 +487,6 @@ fn moved(atlas: &Atlas, from: u16, from_from_camera: &Se3, to: u16, to_from_came
     let by = |submap, pose: &Se3| (atlas.world_from(submap) * *pose).translation;
     by(from, from_from_camera).distance(by(to, to_from_camera))
 }
+
+#[cfg(test)]
+mod tests;

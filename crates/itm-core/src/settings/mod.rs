@@ -46,7 +46,8 @@ pub enum Mode {
     /// One map, in which an error of tracking stays.
     #[default]
     Basic,
-    /// Many submaps, whose poses are corrected where the camera comes back to a place; see `submaps`.
+    /// Many submaps, whose poses are corrected where the camera comes back to a place; see `submaps`. Poses that come from
+    /// elsewhere (`--poses given`, `tracker.kind = "file"`) are those of one map, which stays one.
     LoopClosure,
 }
 

@@ -42,7 +42,9 @@ pub struct SubmapSettings {
     pub close_loops: bool,
     /// A view is compared with keyframes of passive submaps every so many frames.
     pub look_every: u32,
-    /// After a look that led to none, so many are left out.
+    /// A keyframe is a candidate for a closure where the view's dissimilarity from it is at most this, 0 to 1.
+    pub max_dissimilarity: f64,
+    /// After a look that was worth a try, so many are left out.
     pub look_rest: u32,
     /// So many keyframes are looked at, the most similar ones, of those
     pub look_candidates: u32,
@@ -55,8 +57,6 @@ pub struct SubmapSettings {
     pub expected_within_m: f64,
     /// At least this share of its central part, and `new_below`.
     pub expected_share: f64,
-    /// A keyframe is a candidate for a closure where the view's dissimilarity from it is at most this, 0 to 1.
-    pub max_dissimilarity: f64,
     /// A candidate is tracked for so many frames,
     pub closure_tries: u32,
     /// of which so many must be good before the closure is accepted.
@@ -88,13 +88,13 @@ impl Default for SubmapSettings {
             link_deviation_rad: 1e-3,
             close_loops: true,
             look_every: 5,
+            max_dissimilarity: 0.35,
             look_rest: 2,
             look_candidates: 2,
             look_within_m: 1.0,
             look_within_rad: 0.7,
             expected_within_m: 2.0,
             expected_share: 0.3,
-            max_dissimilarity: 0.35,
             closure_tries: 20,
             closure_successes: 10,
             max_drift: 0.05,
