@@ -48,16 +48,30 @@ fn run<'a>(more: &[&'a str]) -> Vec<&'a str> {
     [&["run", "room", "--no-mesh", "--quiet"], more].concat()
 }
 
+/// Arguments for each kind of map. Submaps begin so soon that the few frames here come to several.
+const MODES: [&[&str]; 2] = [&["--mode", "basic"], &["--mode", "loop-closure", "--set", "submaps.new_below=0.9"]];
+
+/// Submaps that a saved map has.
+fn submaps(folder: &Path, map: &str) -> usize {
+    let output = itm(folder, &["info", map, "--json"]);
+    let info: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    info["submaps"].as_array().unwrap().len()
+}
+
 #[test]
 fn a_run_goes_on_to_the_same_bytes() {
     let Some(folder) = with_recording() else { return };
     let folder = folder.path();
-    succeeds(folder, &run(&["-o", "whole", "--save", "whole.itm"]));
-    succeeds(folder, &run(&["-o", "first", "--frames", "0..7", "--save", "half.itm"]));
-    succeeds(folder, &run(&["-o", "second", "--resume", "half.itm", "--save", "second.itm"]));
-    let read = |name: &str| fs::read(folder.join(name)).unwrap();
-    assert!(read("second/trajectory.txt") == read("whole/trajectory.txt"));
-    assert!(read("second.itm") == read("whole.itm"));
+    for (mode, several) in MODES.into_iter().zip([false, true]) {
+        let run_in = |more: &[&str]| succeeds(folder, &run(&[more, mode].concat()));
+        run_in(&["-o", "whole", "--save", "whole.itm"]);
+        run_in(&["-o", "first", "--frames", "0..9", "--save", "half.itm"]);
+        succeeds(folder, &run(&["-o", "second", "--resume", "half.itm", "--save", "second.itm"]));
+        let read = |name: &str| fs::read(folder.join(name)).unwrap();
+        assert!(read("second/trajectory.txt") == read("whole/trajectory.txt"));
+        assert!(read("second.itm") == read("whole.itm"));
+        assert_eq!(submaps(folder, "whole.itm") > 1, several, "{mode:?}: {}", submaps(folder, "whole.itm"));
+    }
 
     let bad = |more: &[&str], status, words: &[&str]| refused(folder, &run(more), status, words);
     bad(&["--resume", "whole.itm"], 1, &["after the last frame", "16"]);
@@ -66,6 +80,7 @@ fn a_run_goes_on_to_the_same_bytes() {
     bad(&["--map", "none.itm"], 1, &["none.itm"]);
     bad(&["--map", "whole.itm", "--start-pose", "1,2,3"], 2, &["seven numbers"]);
     bad(&["--map", "whole.itm", "--set", "map.voxel_size_m=0.01"], 1, &["voxel_size_m", "0.005", "0.01"]);
+    bad(&["--map", "whole.itm", "--mode", "basic"], 1, &["submaps: 2", "mode = \"basic\""]);
     bad(&["--fusion", "off"], 1, &["no map to start in"]);
     fs::create_dir(folder.join("folder.itm")).unwrap();
     bad(&["--save", "folder.itm"], 1, &["folder.itm"]);
@@ -75,16 +90,24 @@ fn a_run_goes_on_to_the_same_bytes() {
 fn a_camera_is_found_in_a_map_that_stays_as_it_is() {
     let Some(folder) = with_recording() else { return };
     let folder = folder.path();
-    succeeds(folder, &run(&["--save", "room.itm"]));
-    succeeds(folder, &run(&["-o", "found", "--map", "room.itm", "--fusion", "off", "--json"]));
-    let text = |name: &str| fs::read_to_string(folder.join(name)).unwrap();
-    let positions = |text: &str| -> Vec<f64> {
-        let rows = text.lines().filter(|line| !line.starts_with('#'));
-        rows.flat_map(|row| row.split(' ').skip(1).take(3).map(|n| n.parse().unwrap()).collect::<Vec<f64>>()).collect()
-    };
-    let (before, found) = (positions(&text("out/room/trajectory.txt")), positions(&text("found/trajectory.txt")));
-    assert_eq!(before.len(), found.len());
-    assert!(before.iter().zip(&found).all(|(a, b)| (a - b).abs() < 0.01), "{before:?}\n{found:?}");
+    for (mode, several) in MODES.into_iter().zip([false, true]) {
+        succeeds(folder, &run(&[&["--save", "room.itm"], mode].concat()));
+        assert_eq!(submaps(folder, "room.itm") > 1, several);
+        succeeds(
+            folder,
+            &run(&["-o", "found", "--map", "room.itm", "--fusion", "off", "--json", "--save", "after.itm"]),
+        );
+        assert_eq!(submaps(folder, "room.itm"), submaps(folder, "after.itm"));
+        let text = |name: &str| fs::read_to_string(folder.join(name)).unwrap();
+        let positions = |text: &str| -> Vec<f64> {
+            let rows = text.lines().filter(|line| !line.starts_with('#'));
+            let numbers = |row: &str| row.split(' ').skip(1).take(3).map(|n| n.parse().unwrap()).collect::<Vec<f64>>();
+            rows.flat_map(numbers).collect()
+        };
+        let (before, found) = (positions(&text("out/room/trajectory.txt")), positions(&text("found/trajectory.txt")));
+        assert_eq!(before.len(), found.len());
+        assert!(before.iter().zip(&found).all(|(a, b)| (a - b).abs() < 0.01), "{before:?}\n{found:?}");
+    }
 }
 
 /// A program that is killed while it writes leaves the file that was there.

@@ -457,6 +457,8 @@ impl Mapper {
         let swapping = self.swaps();
         let margin_m = if swapping { truncation_m.max(self.settings.map.swap_margin_m) } else { truncation_m };
         self.map.lay_grid(&camera, world_from_camera, far_m, margin_m)?;
+        let (near, far) = (f32::max(near_m - truncation_m, 0.0), far_m + truncation_m);
+        let viewed = Viewed { camera: &camera, world_from_camera, depth_range_m: [near, far] };
         let dense = self.settings.map.index == MapIndex::Dense;
         if self.empty && dense {
             if view.read_depth(&self.device, 0)?.data().iter().all(|z| *z <= 0.0) {
@@ -476,13 +478,14 @@ impl Mapper {
             // Later frames see mostly what this one has seen.
             self.demand = record.requested / 8;
             self.make_room(&record)?;
+            if swapping {
+                self.make_way(&viewed, record.pending)?;
+            }
         }
         let mut recorder = Recorder::timed(&self.device);
         if std::mem::take(&mut self.rebuild) {
             self.hash.rebuild(&mut recorder, &self.map);
         }
-        let (near, far) = (f32::max(near_m - truncation_m, 0.0), far_m + truncation_m);
-        let viewed = Viewed { camera: &camera, world_from_camera, depth_range_m: [near, far] };
         let mut motion = InMotion::default();
         let mut arrivals = None;
         if swapping {
@@ -639,12 +642,8 @@ impl Mapper {
         })
     }
 
-    /// Brings all stored blocks that a view reaches to the device, as far as there is room, others leaving for them. Waits;
-    /// for views that follow from no frame before.
-    fn fetch(&mut self, viewed: &Viewed<'_>) -> Result<(), Error> {
-        if self.swapped.as_ref().is_none_or(|swapped| swapped.store.is_empty() && self.waiting.is_empty()) {
-            return Ok(());
-        }
+    /// Takes over what frames have set in motion before it is due. Waits.
+    fn settle_all(&mut self) -> Result<(), Error> {
         for waiting in &mut self.waiting {
             let (_, moved) = waiting.read(&self.device)?;
             let moved = std::mem::take(moved);
@@ -652,6 +651,53 @@ impl Mapper {
                 let _placed = swapped.settle(moved)?;
             }
         }
+        Ok(())
+    }
+
+    /// Has blocks out of view leave at once, until so many new ones find room or none can leave. Waits; for the first frame of a
+    /// submap, which asks for more than what leaves by and by makes room for.
+    fn make_way(&mut self, viewed: &Viewed<'_>, wanted: u32) -> Result<(), Error> {
+        self.settle_all()?;
+        // All views since the last frame count as one: what was kept for them stays.
+        let clock = self.clock;
+        loop {
+            let record = self.map.read_record()?;
+            let used = record.blocks - record.free_blocks;
+            let lacking = used.saturating_add(wanted).saturating_sub(self.map.capacity());
+            if lacking == 0 {
+                return Ok(());
+            }
+            // How old blocks are as of this view, and then the oldest of them.
+            let mut leaving = None;
+            for _ in 0..2 {
+                let mut motion = InMotion::default();
+                let mut recorder = Recorder::new(&self.device);
+                self.record_leaving(&mut recorder, &mut motion, viewed, leaving);
+                self.clock = clock;
+                let _untimed = recorder.submit();
+                let moved = motion.read(&self.device)?;
+                let Some(swapped) = &mut self.swapped else { return Ok(()) };
+                swapped.settle(moved)?;
+                let most = lacking.min(swapped.outgoing.room());
+                leaving = swapped.least_age(most).map(|age| (most, age));
+                if leaving.is_none() {
+                    return Ok(());
+                }
+            }
+            let after = self.map.read_record()?;
+            if after.blocks - after.free_blocks >= used {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Brings all stored blocks that a view reaches to the device, as far as there is room, others leaving for them. Waits;
+    /// for views that follow from no frame before.
+    fn fetch(&mut self, viewed: &Viewed<'_>) -> Result<(), Error> {
+        if self.swapped.as_ref().is_none_or(|swapped| swapped.store.is_empty() && self.waiting.is_empty()) {
+            return Ok(());
+        }
+        self.settle_all()?;
         loop {
             let Some((keys, arrivals)) = self.bring(viewed)? else { return Ok(()) };
             let mut motion = InMotion::default();
