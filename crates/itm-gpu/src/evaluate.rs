@@ -4,7 +4,7 @@ use itm_core::Se3;
 
 use crate::icp::{DepthTerm, Icp};
 use crate::photometric::{Photometric, PhotometricTerm, PointList};
-use crate::sums::{DepthSums, PhotometricSums, Reduce};
+use crate::sums::{DepthSums, PhotometricSums, Reduce, SLOTS};
 use crate::{Device, Error, RaycastImage, Recorder, View};
 
 /// The frame and the surface that are compared.
@@ -77,11 +77,33 @@ impl Evaluator {
             let to = (&mut self.reduce, 1 + index);
             present[index] = self.photometric.record(&mut recorder, view, world_from_colour, list, pivot, term, to);
         }
-        let [of_depth, of_first, of_second] = self.reduce.read(recorder)?;
-        let photometric = |sums: Vec<f32>, present: bool| present.then(|| PhotometricSums::new(&sums));
-        Ok((
-            depth.map(|_| DepthSums::new(&of_depth)),
-            [photometric(of_first, present[0]), photometric(of_second, present[1])],
-        ))
+        let sums = self.reduce.read(recorder, 3)?;
+        let photometric = |index: usize| present[index].then(|| PhotometricSums::new(&sums[1 + index]));
+        Ok((depth.map(|_| DepthSums::new(&sums[0])), [photometric(0), photometric(1)]))
+    }
+
+    /// The sums of the depth term at each of several poses (`world_from_camera`), as [`Evaluator::evaluate`] finds them and in the
+    /// poses' order. Waits, but only once for every sixteen poses.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn evaluate_at(
+        &mut self,
+        compared: &Compared<'_>,
+        poses: &[Se3],
+        term: &DepthTerm,
+    ) -> Result<Vec<DepthSums>, Error> {
+        let Compared { view, level, model, world_from_model } = *compared;
+        let mut found = Vec::new();
+        for poses in poses.chunks(SLOTS) {
+            let mut recorder = Recorder::new(&self.device);
+            for (slot, pose) in poses.iter().enumerate() {
+                let to = (&mut self.reduce, slot);
+                self.icp.record(&mut recorder, view, level, pose, model, &world_from_model, term, to);
+            }
+            let sums = self.reduce.read(recorder, poses.len())?;
+            found.extend(sums.iter().map(|sums| DepthSums::new(sums)));
+        }
+        Ok(found)
     }
 }

@@ -108,7 +108,9 @@ impl PhotometricSums {
 }
 
 /// Terms that one evaluation can have.
-const SLOTS: usize = 3;
+const TERMS: usize = 3;
+/// Sums that are read together: of one evaluation's terms, or of one term at so many poses.
+pub(crate) const SLOTS: usize = 16;
 /// Numbers that a term's sums have room for.
 const SLOT: u32 = 64;
 
@@ -137,12 +139,13 @@ impl Shares {
     }
 }
 
-/// Adds up the rows of up to three terms, and reads the results with one wait.
+/// Adds up the rows of up to three terms, or of one at up to [`SLOTS`] poses, and reads the results with one wait.
 #[derive(Debug)]
 pub(crate) struct Reduce {
     device: Device,
     pipeline: Pipeline,
-    partial: [wgpu::Buffer; SLOTS],
+    /// A slot's rows go into one of these in turn; it is free again once they are added up.
+    partial: [wgpu::Buffer; TERMS],
     result: wgpu::Buffer,
     staging: wgpu::Buffer,
 }
@@ -162,22 +165,23 @@ impl Reduce {
     /// Room for a term's rows.
     pub(crate) fn partial(&mut self, slot: usize, rows: u32, columns: u32) -> &wgpu::Buffer {
         let bytes = u64::from(rows) * u64::from(columns) * 4;
-        self.device.ensure(&mut self.partial[slot], "partial sums", bytes);
-        &self.partial[slot]
+        let partial = &mut self.partial[slot % TERMS];
+        self.device.ensure(partial, "partial sums", bytes);
+        partial
     }
 
     pub(crate) fn record(&self, recorder: &mut Recorder, slot: usize, rows: u32, columns: u32) {
         let params = reduce::Params { rows, columns, to: slot as u32 * SLOT, unused: 0 };
-        let bindings = reduce::Bindings { params, partial_sums: &self.partial[slot], sums: &self.result };
+        let bindings = reduce::Bindings { params, partial_sums: &self.partial[slot % TERMS], sums: &self.result };
         recorder.dispatch(&self.pipeline, &bindings, Groups::Count([1, 1, 1]));
     }
 
-    /// Submits what was recorded and reads the sums of each slot. Waits.
-    pub(crate) fn read(&self, mut recorder: Recorder) -> Result<[Vec<f32>; SLOTS], Error> {
-        let bytes = SLOTS as u64 * u64::from(SLOT) * 4;
+    /// Submits what was recorded and reads the sums of the first slots. Waits.
+    pub(crate) fn read(&self, mut recorder: Recorder, slots: usize) -> Result<Vec<Vec<f32>>, Error> {
+        let bytes = slots as u64 * u64::from(SLOT) * 4;
         recorder.copy(&self.result, &self.staging, bytes);
         let _untimed = recorder.submit();
         let values = self.device.read_staging::<f32>(&self.staging, bytes)?;
-        Ok(std::array::from_fn(|slot| values[slot * SLOT as usize..][..SLOT as usize].to_vec()))
+        Ok(values.chunks_exact(SLOT as usize).map(<[f32]>::to_vec).collect())
     }
 }

@@ -482,6 +482,33 @@ fn two_casts_and_two_sums_give_the_same_bytes() {
 }
 
 #[test]
+fn sums_at_many_poses_are_those_at_each() {
+    let Some(gpu) = common::gpu() else { return };
+    let cast = cast(gpu, &Scene::room(), &common::poses(), common::camera(81, 61), common::poses()[1]);
+    let term = DepthTerm::plain(0.1);
+    // More than are read at once.
+    let poses: Vec<Se3> = (0..19)
+        .map(|i| cast.pose * Se3::exp([0.004, 0.0, -0.003, 0.0, 0.005, 0.0].map(|v| v * f64::from(i))))
+        .collect();
+    let compared = Compared { view: &cast.fusion.view, level: 1, model: &cast.image, world_from_model: cast.pose };
+    let mut evaluator = Evaluator::new(&gpu.device);
+    for count in [0, 1, 16, 19] {
+        let found = evaluator.evaluate_at(&compared, &poses[..count], &term).expect("the device answers");
+        let each = poses[..count].iter().map(|pose| sums(gpu, &cast, &cast.fusion.view, 1, pose, &term));
+        assert_eq!(found, each.collect::<Vec<_>>());
+    }
+    // The reference's, too.
+    let found = evaluator.evaluate_at(&compared, &poses, &term).expect("the device answers");
+    let (model, depth) = (model(&cast, gpu), cast.fusion.view.read_depth(&gpu.device, 1).expect("the device answers"));
+    let camera = cast.fusion.view.level_camera(1);
+    for (found, pose) in found.iter().zip(&poses) {
+        let expected = reference::icp::icp(&model, &depth, camera, pose, &term);
+        let slack = icp_slack(&model, &depth, camera, pose, &term);
+        slack.check(&numbers(found), &numbers(&expected)).expect("within the roundings");
+    }
+}
+
+#[test]
 fn images_of_one_pixel_and_of_a_million_are_cast() {
     let Some(gpu) = common::gpu() else { return };
     let pose = common::poses()[0];

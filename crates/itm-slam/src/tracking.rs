@@ -24,6 +24,7 @@ pub use classifier::{Classifier, FEATURES, Features, terms};
 pub use equations::{Noise, NormalEquations};
 pub use motion::Motion;
 pub(crate) use on_gpu::{ModelObjective, colour_offset};
+pub(crate) use optimise::optimise_each;
 pub use optimise::{Outcome, optimise};
 pub use plan::{Age, LevelPlan, Part, Plan};
 pub use tracker::{Learnt, Moment, Tracker};
@@ -100,4 +101,12 @@ pub trait Objective {
     /// # Errors
     /// Where the device was lost.
     fn evaluate(&mut self, guess: &Guess, request: &Request) -> Result<Evaluation, itm_gpu::Error>;
+
+    /// The sums at each of several guesses; the same as one after the other, but it may wait less.
+    ///
+    /// # Errors
+    /// As [`Objective::evaluate`].
+    fn evaluate_all(&mut self, guesses: &[Guess], request: &Request) -> Result<Vec<Evaluation>, itm_gpu::Error> {
+        guesses.iter().map(|guess| self.evaluate(guess, request)).collect()
+    }
 }

@@ -69,4 +69,19 @@ impl Objective for ModelObjective<'_> {
         }
         Ok(Evaluation { depth, colour })
     }
+
+    fn evaluate_all(&mut self, guesses: &[Guess], request: &Request) -> Result<Vec<Evaluation>, itm_gpu::Error> {
+        let (Some(term), [None, None]) = (&request.depth, &request.colour) else {
+            return guesses.iter().map(|guess| self.evaluate(guess, request)).collect();
+        };
+        let compared = Compared {
+            view: self.view,
+            level: request.level,
+            model: self.model,
+            world_from_model: self.world_from_model,
+        };
+        let poses: Vec<Se3> = guesses.iter().map(|guess| guess.world_from_camera).collect();
+        let sums = self.evaluator.evaluate_at(&compared, &poses, term)?;
+        Ok(sums.into_iter().map(|depth| Evaluation { depth: Some(depth), colour: [None; 2] }).collect())
+    }
 }
