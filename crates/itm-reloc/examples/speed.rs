@@ -1,4 +1,5 @@
-//! How long a frame takes among many keyframes: medians of harvesting, of finding candidates, and of saving and loading.
+//! How long a frame takes among many keyframes: medians of harvesting, of finding candidates, of finding them as the view would look
+//! from 20 other places too, which a lost frame does, and of saving and loading.
 //!
 //! `cargo run --release -p itm-reloc --example speed -- 10000`
 
@@ -6,7 +7,7 @@
 
 use std::time::{Duration, Instant};
 
-use itm_core::{Image, RelocaliserImage, RelocaliserSettings, Se3, Settings, Timestamp};
+use itm_core::{Image, Intrinsics, RelocaliserImage, RelocaliserSettings, Se3, Settings, Timestamp};
 use itm_reloc::{Error, Ferns, Relocaliser as _, SmallView};
 use rand::Rng as _;
 use rand_pcg::Pcg32;
@@ -39,8 +40,9 @@ fn timed<T>(work: impl FnOnce() -> T) -> (T, Duration) {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let keyframes: usize = std::env::args().nth(1).map_or(Ok(10_000), |count| count.parse())?;
     println!("{keyframes} keyframes; medians in milliseconds");
-    println!("| ferns x tests | image | harvest | 5 candidates | save | load | MiB |");
-    println!("| --- | --- | --- | --- | --- | --- | --- |");
+    println!("| ferns x tests | image | harvest | 16 candidates | lost: 21 x 64 | save | load | MiB |");
+    println!("| --- | --- | --- | --- | --- | --- | --- | --- |");
+    let camera = Intrinsics::new(40, 30, 33.0, 33.0, 19.5, 14.5);
     for (ferns, image) in
         [(500, RelocaliserImage::Depth), (1000, RelocaliserImage::Depth), (1000, RelocaliserImage::Both)]
     {
@@ -51,12 +53,21 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         while ferns.keyframes().len() < keyframes {
             ferns.harvest(&view(&mut random)?, 0, &Se3::IDENTITY, Timestamp(0))?;
         }
-        let (mut harvests, mut look_ups) = (Vec::new(), Vec::new());
+        let (mut harvests, mut look_ups, mut lost) = (Vec::new(), Vec::new(), Vec::new());
         for _ in 0..200 {
             let view = view(&mut random)?;
-            let (found, time) = timed(|| ferns.candidates(&view, 5, &|_| true));
+            let (found, time) = timed(|| ferns.candidates(&view, 16, &|_| true));
             found?;
             look_ups.push(time);
+            let moves = (0..20_u8).map(|at| Se3::exp([0.0, 0.0, 0.03 * f64::from(at), 0.0, 0.02 * f64::from(at), 0.0]));
+            let (found, time) = timed(|| {
+                ferns.candidates(&view, 64, &|_| true)?;
+                moves
+                    .map(|at| ferns.candidates(&view.seen_from(&camera, &at), 64, &|_| true))
+                    .collect::<Result<Vec<_>, _>>()
+            });
+            found?;
+            lost.push(time);
             let (harvest, time) = timed(|| ferns.harvest(&view, 0, &Se3::IDENTITY, Timestamp(0)));
             harvest?;
             harvests.push(time);
@@ -65,12 +76,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let (loaded, loading) = timed(|| ferns.load(&saved));
         loaded?;
         println!(
-            "| {} x {} | {} | {:.3} | {:.3} | {:.1} | {:.1} | {:.1} |",
+            "| {} x {} | {} | {:.3} | {:.3} | {:.1} | {:.1} | {:.1} | {:.1} |",
             settings.relocaliser.ferns,
             settings.relocaliser.tests,
             image.name(),
             median(harvests),
             median(look_ups),
+            median(lost),
             median(vec![saving]),
             median(vec![loading]),
             saved.len() as f64 / f64::from(1 << 20),

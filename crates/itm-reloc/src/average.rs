@@ -19,8 +19,8 @@ pub struct AveragePose {
 
 /// The mean of candidates' poses, weighted by similarity, or none without candidates.
 ///
-/// The first candidate, the most similar one of [`crate::Relocaliser::candidates`], says where. Of the others those count that
-/// are in its submap, within `average_within_m` metres and `average_within_rad` radians of it: a mean of poses in different
+/// The first candidate, the most similar one of [`crate::Relocaliser::candidates`], says where. Of the first `average_of` those count
+/// that are in its submap, within `average_within_m` metres and `average_within_rad` radians of it: a mean of poses in different
 /// parts of a room would be somewhere where the camera never was. So there is a mean whenever there is a candidate; where no
 /// other is near it, it is the candidate's own pose.
 ///
@@ -29,6 +29,7 @@ pub struct AveragePose {
 /// signs.
 pub fn average_pose(candidates: &[Candidate], settings: &RelocaliserSettings) -> Option<AveragePose> {
     let first = candidates.first()?.keyframe;
+    let candidates = &candidates[..candidates.len().min(settings.average_of as usize)];
     let camera_from_submap = first.submap_from_camera.inverse();
     let is_near = |candidate: &&Candidate| {
         let between = camera_from_submap * candidate.keyframe.submap_from_camera;
@@ -108,6 +109,16 @@ mod tests {
         let pose = mean(&[candidate(0, [0.0; 6], 0.25), candidate(0, [0.2, 0.0, 0.0, 0.0, 0.0, 0.2], 0.75)]).unwrap();
         assert!((pose.submap_from_camera.translation.x - 0.05).abs() < 1e-3, "{pose:?}");
         assert!((pose.submap_from_camera.angle() - 0.05).abs() < 1e-3, "{pose:?}");
+    }
+
+    #[test]
+    fn no_more_than_the_most_similar_ones_count() {
+        let all = [0.0, 0.1, 0.2].map(|x| candidate(0, [x, 0.0, 0.0, 0.0, 0.0, 0.0], 0.5));
+        let x = |average_of| {
+            let settings = RelocaliserSettings { average_of, ..Default::default() };
+            average_pose(&all, &settings).unwrap().submap_from_camera.translation.x
+        };
+        assert!((x(2) - 0.05).abs() < 1e-12 && (x(3) - 0.1).abs() < 1e-12 && (x(9) - 0.1).abs() < 1e-12);
     }
 
     #[test]

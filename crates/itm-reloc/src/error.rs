@@ -19,6 +19,9 @@ pub enum Error {
         /// Those that it has.
         found: (u32, u32),
     },
+    /// A view as it would look from elsewhere ([`crate::SmallView::seen_from`]) was to become a keyframe.
+    #[error("a view as it would look from elsewhere tells of a part of its pixels only, and cannot become a keyframe")]
+    PartOfAView,
     /// A keyframe's pose is no rigid motion.
     #[error(transparent)]
     Pose(#[from] PoseError),

@@ -60,17 +60,18 @@ impl Ferns {
         })
     }
 
-    /// The dissimilarity of two views, 0 to 1: the share of ferns whose codes differ.
+    /// The dissimilarity of two views, 0 to 1: the share of ferns whose codes differ, of those that look at nothing but what both
+    /// tell of; 1 where there are none.
     ///
     /// # Errors
     /// A view of the wrong size.
     pub fn dissimilarity(&self, one: &SmallView, other: &SmallView) -> Result<f64, Error> {
-        let differing = self.codes.differing(&self.encode(one)?, &self.encode(other)?);
-        Ok(self.share(differing))
-    }
-
-    fn share(&self, differing: u32) -> f64 {
-        f64::from(differing) / f64::from(self.settings.ferns)
+        let (one_row, other_row) = (self.encode(one)?, self.encode(other)?);
+        let mask: Vec<u64> = self.compared(one).iter().zip(self.compared(other)).map(|(a, b)| a & b).collect();
+        Ok(match ferns_in(&mask) {
+            0 => 1.0,
+            compared => f64::from(self.codes.differing(&one_row, &other_row, &mask)) / f64::from(compared),
+        })
     }
 
     /// A view's codes, in the form of a [`CodeTable`]'s row.
@@ -91,12 +92,19 @@ impl Ferns {
         }
     }
 
-    /// The keyframes with the most codes in common with a view's, in the order of [`Relocaliser::candidates`].
-    fn nearest(&self, row: &[u64], count: usize, accept: &dyn Fn(&Keyframe) -> bool) -> Vec<Candidate> {
+    /// The ferns that a view can be compared by: those that look at nothing but what it tells of.
+    fn compared(&self, view: &SmallView) -> Vec<u64> {
+        self.codes.mask(self.tests.iter().map(|test| view.is_known(test.pixel as usize)))
+    }
+
+    /// The keyframes with the most codes in common with a view's, of the ferns in a mask, in the order of
+    /// [`Relocaliser::candidates`].
+    fn nearest(&self, row: &[u64], mask: &[u64], count: usize, accept: &dyn Fn(&Keyframe) -> bool) -> Vec<Candidate> {
         // Ferns that differ, and the keyframe's index; the nearest first.
         let mut nearest: Vec<(u32, usize)> = Vec::new();
-        let mut below = if count == 0 { 0 } else { self.settings.ferns };
-        self.codes.compare(row, |index, differing| {
+        let compared = ferns_in(mask);
+        let mut below = if count == 0 { 0 } else { compared };
+        self.codes.compare(row, mask, |index, differing| {
             if differing < below && accept(&self.keyframes[index]) {
                 // Behind its equals, whose numbers are smaller.
                 let at = nearest.partition_point(|&(other, _)| other <= differing);
@@ -109,7 +117,7 @@ impl Ferns {
         });
         let candidate = |(differing, index): (u32, usize)| Candidate {
             keyframe: self.keyframes[index],
-            dissimilarity: self.share(differing),
+            dissimilarity: f64::from(differing) / f64::from(compared),
         };
         nearest.into_iter().map(candidate).collect()
     }
@@ -124,6 +132,9 @@ impl Relocaliser for Ferns {
         timestamp: Timestamp,
     ) -> Result<Harvest, Error> {
         check_pose(submap_from_camera)?;
+        if !view.is_whole() {
+            return Err(Error::PartOfAView);
+        }
         let row = self.encode(view)?;
         let valid_share = self.valid_share(view);
         if valid_share < self.settings.min_valid_share {
@@ -136,7 +147,7 @@ impl Relocaliser for Ferns {
             let near = between.translation.length() <= within_m && between.angle() <= within_rad;
             keyframe.submap == submap && near
         };
-        let nearest = self.nearest(&row, 1, &same_place).pop();
+        let nearest = self.nearest(&row, &self.compared(view), 1, &same_place).pop();
         match nearest {
             Some(nearest) if nearest.dissimilarity <= self.settings.min_dissimilarity => Ok(Harvest::Known { nearest }),
             _ => {
@@ -159,7 +170,11 @@ impl Relocaliser for Ferns {
         if self.valid_share(view) < self.settings.min_valid_share {
             return Ok(Vec::new());
         }
-        Ok(self.nearest(&row, count, accept))
+        let mask = self.compared(view);
+        if f64::from(ferns_in(&mask)) < self.settings.min_compared_share * f64::from(self.settings.ferns) {
+            return Ok(Vec::new());
+        }
+        Ok(self.nearest(&row, &mask, count, accept))
     }
 
     fn keyframes(&self) -> &[Keyframe] {
@@ -190,6 +205,11 @@ impl Relocaliser for Ferns {
         (self.next_id, self.keyframes, self.codes) = saved::read(saved, &self.made_with, empty)?;
         Ok(())
     }
+}
+
+/// Ferns in a mask.
+fn ferns_in(mask: &[u64]) -> u32 {
+    mask.iter().map(|word| word.count_ones()).sum()
 }
 
 /// Whether a pose can be kept. It is kept as given: normalising it again could change its last digits.

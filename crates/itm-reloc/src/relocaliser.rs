@@ -12,7 +12,8 @@ pub trait Relocaliser: Send {
     /// enough from all that there are of its place: in its submap and near it.
     ///
     /// # Errors
-    /// A view of the wrong size, a pose that is no rigid motion, or no number left; nothing has changed then.
+    /// A view of the wrong size or one made by [`SmallView::seen_from`], a pose that is no rigid motion, or no number left; nothing
+    /// has changed then.
     fn harvest(
         &mut self,
         view: &SmallView,
@@ -23,7 +24,8 @@ pub trait Relocaliser: Send {
 
     /// At most `count` keyframes that are most similar to a view, of those that `accept` is true for: the most similar first,
     /// and of equal ones that with the smaller number. Those without anything in common with the view are no candidates; none
-    /// is where too little is seen (`relocaliser.min_valid_share`).
+    /// is where too little is seen (`relocaliser.min_valid_share`), or too little is known of a view from elsewhere
+    /// ([`SmallView::seen_from`], `relocaliser.min_compared_share`) to compare it.
     ///
     /// # Errors
     /// A view of the wrong size.

@@ -6,7 +6,9 @@ mod common;
 
 use common::{ferns, wall};
 use glam::{DQuat, DVec3};
-use itm_core::{ColourImage, Image, RelocaliserImage, RelocaliserKind, RelocaliserSettings, Se3, Settings, Timestamp};
+use itm_core::{
+    ColourImage, Image, Intrinsics, RelocaliserImage, RelocaliserKind, RelocaliserSettings, Se3, Settings, Timestamp,
+};
 use itm_reloc::{Error, Ferns, Harvest, Relocaliser, SmallView, new_relocaliser};
 
 const HERE: Se3 = Se3::IDENTITY;
@@ -33,6 +35,49 @@ fn keyframes_of_equal_dissimilarity_come_in_the_order_of_their_numbers() {
     let found = ferns.candidates(&views[15], 30, &|_| true).unwrap();
     let order: Vec<_> = found.iter().map(|found| (found.dissimilarity, found.keyframe.id)).collect();
     assert!(order.is_sorted() && order.windows(2).any(|pair| pair[0].0 == pair[1].0), "{order:?}");
+}
+
+#[test]
+fn of_a_view_from_elsewhere_only_what_is_known_is_compared() {
+    let camera = Intrinsics::new(40, 30, 33.0, 33.0, 19.5, 14.5);
+    let mut ferns = ferns(RelocaliserSettings::default());
+    let view = wall(1.0, 2.5);
+    id(harvest(&mut ferns, &view, 0));
+    // A third of it is turned away, and what comes into view instead is unknown: that is no difference.
+    let there = Se3::exp([0.0, 0.0, 0.0, 0.0, 0.3, 0.0]);
+    let turned = view.seen_from(&camera, &there);
+    let unknown = turned.depth().iter().filter(|depth| **depth == 0.0).count();
+    assert!((200..600).contains(&unknown), "{unknown} of 1200 pixels are unknown");
+    let back = turned.seen_from(&camera, &there.inverse());
+    let found = ferns.candidates(&back, 1, &|_| true).unwrap();
+    assert!(found[0].dissimilarity < 0.1, "{found:?}");
+    let holes = SmallView::new(Image::new(40, 30, back.depth().to_vec()).unwrap(), None).unwrap();
+    let with_holes = ferns.candidates(&holes, 1, &|_| true).unwrap();
+    assert!(with_holes[0].dissimilarity > 0.25, "{with_holes:?}");
+    // Of what has turned away nearly all that it shows, nothing is said.
+    let away = view.seen_from(&camera, &Se3::exp([0.0, 0.0, 0.0, 0.0, 0.9, 0.0]));
+    assert_eq!(ferns.candidates(&away, 1, &|_| true).unwrap(), []);
+    // What is not known of one view is not compared in either order.
+    let of_both = ferns.dissimilarity(&back, &view).unwrap();
+    assert_eq!((of_both, of_both), (found[0].dissimilarity, ferns.dissimilarity(&view, &back).unwrap()));
+    let nothing = view.seen_from(&camera, &Se3::exp([0.0, 0.0, 0.0, 0.0, 3.0, 0.0]));
+    assert_eq!(ferns.dissimilarity(&nothing, &view).unwrap(), 1.0);
+    // It is no keyframe.
+    assert_eq!(ferns.harvest(&turned, 0, &HERE, Timestamp(1)), Err(Error::PartOfAView));
+    assert_eq!(ferns.keyframes().len(), 1);
+}
+
+#[test]
+fn how_much_must_be_known_to_be_compared_is_a_setting() {
+    let camera = Intrinsics::new(40, 30, 33.0, 33.0, 19.5, 14.5);
+    let view = wall(1.0, 2.5);
+    let turned = view.seen_from(&camera, &Se3::exp([0.0, 0.0, 0.0, 0.0, 0.3, 0.0]));
+    for (min_compared_share, found) in [(0.0, 1), (1.0, 0)] {
+        let mut ferns = ferns(RelocaliserSettings { min_compared_share, ..Default::default() });
+        id(harvest(&mut ferns, &view, 0));
+        assert_eq!(ferns.candidates(&turned, 1, &|_| true).unwrap().len(), found);
+        assert_eq!(ferns.candidates(&view, 1, &|_| true).unwrap().len(), 1, "all of it is known");
+    }
 }
 
 #[test]

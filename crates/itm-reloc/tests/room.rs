@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "this is a test, and its helpers outside of #[test] functions are too")]
 
 use glam::{DQuat, DVec3};
-use itm_core::{Image, RelocaliserSettings, Se3, Settings, Timestamp};
+use itm_core::{Image, Intrinsics, RelocaliserSettings, Se3, Settings, Timestamp};
 use itm_reloc::{Ferns, Relocaliser as _, SmallView, average_pose};
 
 /// The room's lowest and highest corner in metres; y points down. No two walls are equally far from the middle of the way.
@@ -111,6 +111,24 @@ fn views_near_the_way_find_it() {
         }
         assert!(nearest >= at_least && mean >= at_least, "{nearest} nearest and {mean} mean poses of 100 are near");
     }
+}
+
+/// The most similar keyframe leads to where the camera is where the view is taken to where the keyframe is, and not as it is.
+#[test]
+fn views_from_further_back_are_found_by_what_they_would_be_ahead() {
+    let ferns = walked(&RelocaliserSettings::default());
+    let camera = Intrinsics::new(40, 30, 33.0, 33.0, 19.5, 14.5);
+    let ahead = Se3::exp([0.0, 0.0, 0.6, 0.0, 0.0, 0.0]);
+    let (mut as_it_is, mut taken_ahead) = (0, 0);
+    for query in 0..50 {
+        let pose = on_the_way((f64::from(query) + 0.5) / 50.0) * ahead.inverse();
+        let here = view(&pose);
+        let there = here.seen_from(&camera, &ahead);
+        let found = |view| ferns.candidates(view, 1, &|_| true).unwrap()[0].keyframe.submap_from_camera;
+        as_it_is += u32::from(is_near(&(pose * ahead), &found(&here)));
+        taken_ahead += u32::from(is_near(&(pose * ahead), &found(&there)));
+    }
+    assert!(taken_ahead >= 45 && as_it_is + 10 <= taken_ahead, "{as_it_is} as they are, {taken_ahead} ahead, of 50");
 }
 
 #[test]

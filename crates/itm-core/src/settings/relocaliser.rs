@@ -38,15 +38,68 @@ pub struct RelocaliserSettings {
     pub place_within_m: f64,
     /// The same, for the angle between them in radians.
     pub place_within_rad: f64,
-    /// Most similar keyframes whose poses are tried after a loss.
+    /// Places that are tried after a loss, those that the most similar keyframes tell of, 1 to 1000.
     pub candidates: u32,
-    /// A candidate's place is the frame's where tracking there is good, and at least this share of the frame's depth pixels agree
-    /// with the map, 0 to 1.
+    /// Places within this many metres and `apart_rad` of a likelier one are left out, so that those that are tried are different.
+    pub apart_m: f64,
+    /// The same, for the angle between them in radians.
+    pub apart_rad: f64,
+    /// How far from a keyframe's pose the camera is looked for, in metres: ahead and back as far, to the sides half as far. 0 for
+    /// nowhere but where it was.
+    pub reach_m: f64,
+    /// The same, for angles in radians, at most 1.5. 0 for the directions alone that it looked in.
+    pub reach_rad: f64,
+    /// Share of the ferns, 0 to 1, that must be left to compare a view by as it would look from elsewhere: of few, some keyframe
+    /// agrees in most by chance.
+    pub min_compared_share: f64,
+    /// Places are first looked at in an image of the map that is not wider than this many pixels, if the depth pyramid goes down to
+    /// that; 16 to 16384.
+    pub glance_width: u32,
+    /// That image shows this many times as much as the camera to each side, 1 to 4, so that poses far from the keyframe's can be
+    /// compared.
+    pub widening: f64,
+    /// Poses around a keyframe's from which coarse tracking sets out, of all that were compared there.
+    pub searched: u32,
+    /// Candidates that are compared with each other before the best of their places is followed up, and the next ones only come
+    /// where that is not confirmed.
+    pub at_once: u32,
+    /// Places that coarse tracking goes on from with the map as seen from there, of all that such candidates lead to.
+    pub refined: u32,
+    /// The best places that coarse tracking leads to of which each is followed up by tracking in full, until one is confirmed.
+    pub followed_up: u32,
+    /// Once a place is confirmed, others are followed up only where their error after coarse tracking is at most this many times
+    /// as large, at least 1.
+    pub rivals_within: f64,
+    /// Poses within this many metres and `same_within_rad` of each other are one place: what tracking leads to from one of them, it
+    /// leads to from the other.
+    pub same_within_m: f64,
+    /// The same, for the angle between them in radians.
+    pub same_within_rad: f64,
+    /// Tracking in full is on images not wider than this many pixels, if the depth pyramid goes down to that; 16 to 16384. 640
+    /// finds poses more exactly, and takes four times as long.
+    pub trial_width: u32,
+    /// The largest distance in metres from a point to the map's plane at the coarsest level of both, 0.0001 to 10: more than
+    /// `tracker.extended.max_plane_distance_coarse_m`, for the way is longer than from frame to frame.
+    pub max_plane_distance_m: f32,
+    /// How often a place is tracked against the map as seen from where tracking led before, at most, until it is confirmed.
+    pub rounds: u32,
+    /// A place is not confirmed where tracking leads further than this many metres from where the map was seen from: then it
+    /// is not what the frame shows that was compared.
+    pub cast_within_m: f64,
+    /// The same, for the angle in radians.
+    pub cast_within_rad: f64,
+    /// A place is not confirmed where the chance that it is wrong is larger than this, 0 to 1: less than what makes a frame good
+    /// that follows another, for here nothing else speaks for it.
+    pub max_chance_wrong: f64,
+    /// A place is the frame's where tracking there is good, and at least this share of the frame's depth pixels agree with the
+    /// map, 0 to 1.
     pub min_inlier_share: f64,
     /// Share of the small image that must show something, 0 to 1: below it a view becomes no keyframe and is likened to none,
     /// because views in which nothing is seen, as with a covered lens, are all alike. Where both images are compared, each of
     /// them must.
     pub min_valid_share: f64,
+    /// Most similar keyframes that may count in an averaged pose.
+    pub average_of: u32,
     /// Keyframes count in an averaged pose where they are within this many metres of the most similar one.
     pub average_within_m: f64,
     /// The same, for the angle between them in radians, at most 1.5.
@@ -67,9 +120,30 @@ impl Default for RelocaliserSettings {
             min_dissimilarity: 0.1,
             place_within_m: 1.0,
             place_within_rad: 0.7,
-            candidates: 5,
+            candidates: 16,
+            apart_m: 0.3,
+            apart_rad: 0.3,
+            reach_m: 0.6,
+            reach_rad: 0.42,
+            min_compared_share: 0.125,
+            glance_width: 160,
+            widening: 1.7,
+            searched: 3,
+            at_once: 4,
+            refined: 3,
+            followed_up: 3,
+            rivals_within: 1.5,
+            same_within_m: 0.05,
+            same_within_rad: 0.05,
+            trial_width: 320,
+            max_plane_distance_m: 0.3,
+            rounds: 4,
+            cast_within_m: 0.1,
+            cast_within_rad: 0.1,
+            max_chance_wrong: 0.02,
             min_inlier_share: 0.5,
             min_valid_share: 0.2,
+            average_of: 5,
             average_within_m: 0.3,
             average_within_rad: 0.35,
         }
@@ -132,7 +206,37 @@ impl RelocaliserSettings {
         check((1..=1 << 14).contains(&self.ferns), "relocaliser.ferns", "between 1 and 16384", self.ferns)?;
         check((1..=8).contains(&self.tests), "relocaliser.tests", "between 1 and 8", self.tests)?;
         check((1..=1000).contains(&self.candidates), "relocaliser.candidates", "between 1 and 1000", self.candidates)?;
+        for (key, count) in [
+            ("relocaliser.searched", self.searched),
+            ("relocaliser.at_once", self.at_once),
+            ("relocaliser.refined", self.refined),
+            ("relocaliser.followed_up", self.followed_up),
+            ("relocaliser.rounds", self.rounds),
+            ("relocaliser.average_of", self.average_of),
+        ] {
+            check((1..=100).contains(&count), key, "between 1 and 100", count)?;
+        }
+        for (key, pixels) in
+            [("relocaliser.glance_width", self.glance_width), ("relocaliser.trial_width", self.trial_width)]
+        {
+            check((16..=1 << 14).contains(&pixels), key, "between 16 and 16384", pixels)?;
+        }
+        check((1.0..=4.0).contains(&self.widening), "relocaliser.widening", "between 1 and 4", self.widening)?;
+        check(
+            in_range(self.max_plane_distance_m, 1e-4, 10.0),
+            "relocaliser.max_plane_distance_m",
+            "between 0.0001 and 10",
+            self.max_plane_distance_m,
+        )?;
+        check(
+            (1.0..=1e6).contains(&self.rivals_within),
+            "relocaliser.rivals_within",
+            "between 1 and 1000000",
+            self.rivals_within,
+        )?;
         for (key, share) in [
+            ("relocaliser.max_chance_wrong", self.max_chance_wrong),
+            ("relocaliser.min_compared_share", self.min_compared_share),
             ("relocaliser.min_dissimilarity", self.min_dissimilarity),
             ("relocaliser.min_inlier_share", self.min_inlier_share),
             ("relocaliser.min_valid_share", self.min_valid_share),
@@ -142,21 +246,27 @@ impl RelocaliserSettings {
         for (key, metres) in [
             ("relocaliser.place_within_m", self.place_within_m),
             ("relocaliser.average_within_m", self.average_within_m),
+            ("relocaliser.apart_m", self.apart_m),
+            ("relocaliser.reach_m", self.reach_m),
+            ("relocaliser.same_within_m", self.same_within_m),
+            ("relocaliser.cast_within_m", self.cast_within_m),
         ] {
             check((0.0..=1000.0).contains(&metres), key, "between 0 and 1000", metres)?;
         }
-        check(
-            (0.0..=4.0).contains(&self.place_within_rad),
-            "relocaliser.place_within_rad",
-            "between 0 and 4",
-            self.place_within_rad,
-        )?;
-        check(
-            (0.0..=1.5).contains(&self.average_within_rad),
-            "relocaliser.average_within_rad",
-            "between 0 and 1.5",
-            self.average_within_rad,
-        )
+        for (key, radians) in [
+            ("relocaliser.place_within_rad", self.place_within_rad),
+            ("relocaliser.apart_rad", self.apart_rad),
+            ("relocaliser.same_within_rad", self.same_within_rad),
+            ("relocaliser.cast_within_rad", self.cast_within_rad),
+        ] {
+            check((0.0..=4.0).contains(&radians), key, "between 0 and 4", radians)?;
+        }
+        for (key, radians) in
+            [("relocaliser.reach_rad", self.reach_rad), ("relocaliser.average_within_rad", self.average_within_rad)]
+        {
+            check((0.0..=1.5).contains(&radians), key, "between 0 and 1.5", radians)?;
+        }
+        Ok(())
     }
 }
 
@@ -185,6 +295,27 @@ mod tests {
             "place_within_rad=5.0",
             "average_within_m=inf",
             "average_within_rad=3.0",
+            "apart_m=-0.1",
+            "apart_rad=nan",
+            "reach_m=inf",
+            "reach_rad=1.6",
+            "widening=0.9",
+            "searched=0",
+            "at_once=0",
+            "refined=101",
+            "followed_up=0",
+            "rivals_within=0.5",
+            "rounds=0",
+            "average_of=0",
+            "glance_width=8",
+            "trial_width=0",
+            "max_chance_wrong=1.1",
+            "min_compared_share=-0.1",
+            "same_within_m=-1.0",
+            "same_within_rad=nan",
+            "max_plane_distance_m=0.0",
+            "cast_within_m=inf",
+            "cast_within_rad=4.1",
         ] {
             let error = Settings::resolve(None, &[format!("relocaliser.{bad}")]).unwrap_err();
             let (name, _) = bad.split_once('=').unwrap();

@@ -43,6 +43,17 @@ impl CodeTable {
         row
     }
 
+    /// A bit for each fern, of those that all of `known` is true for: whether each test's pixel is known, fern after fern.
+    pub(super) fn mask(&self, known: impl Iterator<Item = bool>) -> Vec<u64> {
+        let mut mask = vec![u64::MAX; self.words];
+        mask[self.words - 1] = self.last_word;
+        for (index, _) in known.enumerate().filter(|(_, known)| !known) {
+            let fern = index / self.tests;
+            mask[fern / 64] &= !(1 << (fern % 64));
+        }
+        mask
+    }
+
     /// Whether words are a row of this table: of its length, and 0 where there is no fern.
     pub(super) fn is_row(&self, row: &[u64]) -> bool {
         row.len() == self.row_len() && row.chunks(self.words).all(|plane| plane[self.words - 1] & !self.last_word == 0)
@@ -70,37 +81,39 @@ impl CodeTable {
         self.rows.chunks_exact(self.row_len())
     }
 
-    /// Number of ferns whose codes differ between two rows.
-    pub(super) fn differing(&self, one: &[u64], other: &[u64]) -> u32 {
+    /// Number of ferns, of those in a [`CodeTable::mask`], whose codes differ between two rows.
+    pub(super) fn differing(&self, one: &[u64], other: &[u64], mask: &[u64]) -> u32 {
         let mut found = 0;
-        compare_rows(self.tests, self.words, one, other, |_, differing| found = differing);
+        compare_rows(self.tests, mask, one, other, |_, differing| found = differing);
         found
     }
 
-    /// Calls `each` with every row's index and the number of ferns whose codes differ from those of `row`, in the rows' order.
-    pub(super) fn compare(&self, row: &[u64], each: impl FnMut(usize, u32)) {
-        compare_rows(self.tests, self.words, &self.rows, row, each);
+    /// Calls `each` with every row's index and the number of ferns, of those in a [`CodeTable::mask`], whose codes differ from those
+    /// of `row`, in the rows' order.
+    pub(super) fn compare(&self, row: &[u64], mask: &[u64], each: impl FnMut(usize, u32)) {
+        compare_rows(self.tests, mask, &self.rows, row, each);
     }
 }
 
-fn compare_rows(tests: usize, words: usize, rows: &[u64], row: &[u64], each: impl FnMut(usize, u32)) {
+fn compare_rows(tests: usize, mask: &[u64], rows: &[u64], row: &[u64], each: impl FnMut(usize, u32)) {
     // A loop for each number of tests: with the number known, planes are joined in registers.
     match tests {
-        1 => compare_planes::<1>(words, rows, row, each),
-        2 => compare_planes::<2>(words, rows, row, each),
-        3 => compare_planes::<3>(words, rows, row, each),
-        4 => compare_planes::<4>(words, rows, row, each),
-        5 => compare_planes::<5>(words, rows, row, each),
-        6 => compare_planes::<6>(words, rows, row, each),
-        7 => compare_planes::<7>(words, rows, row, each),
-        _ => compare_planes::<8>(words, rows, row, each),
+        1 => compare_planes::<1>(mask, rows, row, each),
+        2 => compare_planes::<2>(mask, rows, row, each),
+        3 => compare_planes::<3>(mask, rows, row, each),
+        4 => compare_planes::<4>(mask, rows, row, each),
+        5 => compare_planes::<5>(mask, rows, row, each),
+        6 => compare_planes::<6>(mask, rows, row, each),
+        7 => compare_planes::<7>(mask, rows, row, each),
+        _ => compare_planes::<8>(mask, rows, row, each),
     }
 }
 
-fn compare_planes<const TESTS: usize>(words: usize, rows: &[u64], row: &[u64], mut each: impl FnMut(usize, u32)) {
+fn compare_planes<const TESTS: usize>(mask: &[u64], rows: &[u64], row: &[u64], mut each: impl FnMut(usize, u32)) {
     fn planes<const TESTS: usize>(words: usize, row: &[u64]) -> [&[u64]; TESTS] {
         std::array::from_fn(|test| &row[test * words..][..words])
     }
+    let words = mask.len();
     let ours = planes::<TESTS>(words, row);
     for (index, row) in rows.chunks_exact(TESTS * words).enumerate() {
         let theirs = planes::<TESTS>(words, row);
@@ -110,7 +123,7 @@ fn compare_planes<const TESTS: usize>(words: usize, rows: &[u64], row: &[u64], m
             for test in 0..TESTS {
                 differs |= ours[test][word] ^ theirs[test][word];
             }
-            differing += differs.count_ones();
+            differing += (differs & mask[word]).count_ones();
         }
         each(index, differing);
     }
