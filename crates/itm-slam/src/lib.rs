@@ -66,4 +66,4 @@ pub use warning::Warning;
 pub use itm_core::*;
 pub use itm_gpu::render::{Scale, Shading};
 pub use itm_gpu::{AdapterKind, AdapterReport, Capabilities, Device, FrameRecord, MapLayout};
-pub use itm_reloc::Keyframe;
+pub use itm_reloc::{AveragePose, Keyframe};

@@ -108,18 +108,30 @@ impl Local {
         self.track_with(eyes, frame, |tracker, objective, moment| tracker.track(objective, moment, further))
     }
 
-    /// Finds a frame's pose, starting from the most promising of several poses. `None` without a model.
-    pub(crate) fn search(
+    /// The most promising of several poses; see [`Tracker::shortlist`]. None without a model.
+    pub(crate) fn shortlist(
+        &mut self,
+        eyes: &mut Eyes<'_>,
+        frame: &Frame,
+        poses: &[Se3],
+        most: usize,
+    ) -> Result<Vec<Se3>, Error> {
+        let best = self.track_with(eyes, frame, |tracker, objective, moment| {
+            tracker.shortlist(objective, moment.age, poses, most)
+        })?;
+        Ok(best.unwrap_or_default())
+    }
+
+    /// Where several poses lead; see [`Tracker::refine`]. Nowhere without a model.
+    pub(crate) fn refine(
         &mut self,
         eyes: &mut Eyes<'_>,
         frame: &Frame,
         starts: &[Se3],
-        most: usize,
-    ) -> Result<Option<Tracked>, Error> {
-        self.track_with(eyes, frame, |tracker, objective, moment| {
-            let starts = tracker.shortlist(objective, moment.age, starts, most)?;
-            tracker.track_from(objective, moment, &starts)
-        })
+    ) -> Result<Vec<(f64, Se3)>, Error> {
+        let refined =
+            self.track_with(eyes, frame, |tracker, objective, moment| tracker.refine(objective, moment.age, starts))?;
+        Ok(refined.unwrap_or_default())
     }
 
     /// Finds a frame's pose, starting from certain poses. `None` without a model.
@@ -132,12 +144,12 @@ impl Local {
         self.track_with(eyes, frame, |tracker, objective, moment| tracker.track_from(objective, moment, starts))
     }
 
-    fn track_with(
+    fn track_with<T>(
         &mut self,
         eyes: &mut Eyes<'_>,
         frame: &Frame,
-        track: impl FnOnce(&mut Tracker, &mut ModelObjective<'_>, &Moment<'_>) -> Result<Tracked, Error>,
-    ) -> Result<Option<Tracked>, Error> {
+        track: impl FnOnce(&mut Tracker, &mut ModelObjective<'_>, &Moment<'_>) -> Result<T, Error>,
+    ) -> Result<Option<T>, Error> {
         let Some(world_from_model) = self.submap_from_model else { return Ok(None) };
         let mut objective = ModelObjective {
             evaluator: eyes.evaluator,

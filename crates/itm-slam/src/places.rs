@@ -1,26 +1,33 @@
 //! Places that the camera has been at, and finding it there again (the report, on the random ferns relocaliser; Glocker et al.
 //! 2015, *Real-Time RGB-D Camera Relocalization via Randomized Ferns for Keyframe Encoding*).
 //!
-//! A keyframe only says what a view resembles. From its pose, and from others around it, the frame is tracked against the map
-//! as seen from there; then once more against the map as seen from where that led, so that the whole image is compared. That
-//! finds poses between the keyframes, and refuses a place that only looks alike.
+//! A keyframe only says what a view resembles. The frame may be of a place that no keyframe is near to, so it is also compared
+//! as it would look from further ahead, from further back, from the sides and turned ([`SmallView::seen_from`]); each
+//! similar keyframe then says where the camera is. Poses around there are compared at a glance: coarsely, with the map in a
+//! small image that shows more than the camera sees. From the best of them coarse tracking leads to a few poses, where the
+//! frame is tracked in full, against the map as seen from there, until the whole image agrees. That finds poses between
+//! and beside the keyframes, and refuses a place that only looks alike.
 
-use itm_core::{Frame, RelocaliserImage, Se3, Settings, Timestamp, TrackerKind};
+mod looks;
+mod poses;
+mod proposals;
+mod search;
+
+use itm_core::{Frame, Intrinsics, RelocaliserImage, RelocaliserSettings, Se3, Settings, Timestamp};
 use itm_gpu::shrink::{Shrink, SmallReader};
-use itm_gpu::{Device, Recorder, View};
+use itm_gpu::{BlockMap, Device, RaycastImage, Recorder, View};
 use itm_reloc::{Candidate, Harvest, Keyframe, Relocaliser, SmallView, new_relocaliser};
 
 use crate::Error;
 use crate::happening::Happening;
 use crate::local::{Eyes, Local, Needs};
-use crate::mapper::Mapper;
-use crate::tracking::{Learnt, Tracked, Tracker, Verdict};
+use crate::mapper::{Mapper, Model};
+use crate::tracking::{Learnt, Tracked, Tracker};
+use looks::{glance_settings, trial_level, trial_settings, wide};
+use poses::moves;
+use proposals::{Proposal, apart};
 
-/// Poses around a keyframe's from which tracking sets out, of all that are compared at the coarsest level.
-const SEARCHED: usize = 4;
-/// Places that are followed up, of those that the candidates lead to, and how often.
-const FOLLOWED_UP: usize = 3;
-const ROUNDS: usize = 4;
+pub(crate) use poses::around;
 
 /// The places, and what finds them.
 pub(crate) struct Places {
@@ -32,8 +39,11 @@ pub(crate) struct Places {
     /// Tracking from a candidate's pose, and what it has learnt before any.
     trial: Local,
     unlearnt: Learnt,
-    candidates: usize,
-    min_inlier_share: f64,
+    /// The same at a glance: coarse, and of more than is in view.
+    glance: Local,
+    /// The depth camera.
+    camera: Intrinsics,
+    settings: RelocaliserSettings,
 }
 
 impl std::fmt::Debug for Places {
@@ -58,15 +68,28 @@ impl Found {
 }
 
 impl Places {
-    /// None yet; `None` where the settings switch it off.
+    /// No places yet; `None` where the settings switch it off. `map` is that which views are cast from.
     pub(crate) fn new(
         device: &Device,
         calibration: &itm_core::Calibration,
         settings: &Settings,
+        map: &BlockMap,
     ) -> Result<Option<Self>, Error> {
         let Some(relocaliser) = new_relocaliser(settings)? else { return Ok(None) };
         let own = &settings.relocaliser;
-        let tracker = Tracker::new(&trial_settings(settings), &calibration.depth)?;
+        let finest = trial_level(&calibration.depth, own.trial_width);
+        let tracker = Tracker::new(&trial_settings(settings, finest), &calibration.depth)?;
+        let glancing = Tracker::new(&glance_settings(settings), &calibration.depth)?;
+        let mut trial = Local::new(device, calibration, &tracker, &Needs::nothing(), 0)?;
+        trial.model = Model::new(RaycastImage::new(device, calibration.depth.at_level(finest))?);
+        let mut glance = Local::new(device, calibration, &glancing, &Needs::nothing(), 0)?;
+        // Less wide where the device could not index the blocks in view.
+        let margin_m = settings.map.truncation_m.max(settings.map.swap_margin_m);
+        let fits = |camera: &Intrinsics| map.check_view(camera, settings.view.max_depth_m, margin_m).is_ok();
+        let widenings = [own.widening, 0.5 * (1.0 + own.widening), 1.0];
+        let cameras = widenings.map(|widening| wide(&calibration.depth, own.glance_width, widening));
+        let camera = cameras.iter().find(|camera| fits(camera)).unwrap_or(&cameras[2]);
+        glance.model = Model::new(RaycastImage::new(device, *camera)?);
         Ok(Some(Self {
             relocaliser,
             shrink: Shrink::new(
@@ -78,9 +101,10 @@ impl Places {
             reader: None,
             view: None,
             unlearnt: tracker.learnt(),
-            trial: Local::new(device, calibration, &tracker, &Needs::nothing(), 0)?,
-            candidates: own.candidates as usize,
-            min_inlier_share: own.min_inlier_share,
+            trial,
+            glance,
+            camera: calibration.depth,
+            settings: own.clone(),
         }))
     }
 
@@ -95,13 +119,13 @@ impl Places {
         self.view = None;
     }
 
-    /// The current frame's view. Waits for `view` alone where nothing was recorded since.
-    fn view(&mut self, device: &Device) -> Result<Option<&SmallView>, Error> {
+    /// Reads the current frame's view. Waits for `view` alone where nothing was recorded since.
+    fn read_view(&mut self, device: &Device) -> Result<(), Error> {
         if let Some(reader) = self.reader.take() {
             let (depth, colour) = reader.read(device)?;
             self.view = Some(SmallView::new(depth, colour)?);
         }
-        Ok(self.view.as_ref())
+        Ok(())
     }
 
     /// Remembers the current frame's view, if it resembles none of those remembered.
@@ -112,9 +136,7 @@ impl Places {
         submap_from_camera: &Se3,
         timestamp: Timestamp,
     ) -> Result<Option<Happening>, Error> {
-        if self.view(device)?.is_none() {
-            return Ok(None);
-        }
+        self.read_view(device)?;
         let Some(view) = &self.view else { return Ok(None) };
         Ok(match self.relocaliser.harvest(view, submap, submap_from_camera, timestamp)? {
             Harvest::Added { id, .. } => Some(Happening::Keyframe { id, submap }),
@@ -122,141 +144,46 @@ impl Places {
         })
     }
 
-    /// Keyframes that the current frame's view resembles, the most similar first.
+    /// Keyframes that the current frame's view resembles as it is, the most similar first.
     pub(crate) fn candidates(
         &mut self,
         device: &Device,
         accept: &dyn Fn(&Keyframe) -> bool,
     ) -> Result<Vec<Candidate>, Error> {
-        let count = self.candidates;
-        if self.view(device)?.is_none() {
-            return Ok(Vec::new());
-        }
+        self.read_view(device)?;
         let Some(view) = &self.view else { return Ok(Vec::new()) };
-        Ok(self.relocaliser.candidates(view, count, accept)?)
+        Ok(self.relocaliser.candidates(view, self.settings.candidates as usize, accept)?)
     }
 
-    /// Finds the frame among the keyframes that it resembles: the best of them by the verdict of tracking.
-    pub(crate) fn find(
+    /// Places where the current frame may have been taken, the likeliest first, of which no two are near each other: poses from which
+    /// keyframes would look as the frame does from there or from near there.
+    fn proposals(&mut self, device: &Device) -> Result<Vec<Proposal>, Error> {
+        self.read_view(device)?;
+        let (Some(view), own) = (&self.view, &self.settings) else { return Ok(Vec::new()) };
+        // Neighbours of those that are kept are left out.
+        let count = 4 * own.candidates as usize;
+        // The view as it is first: of equally similar ones the first is kept.
+        let as_it_is = self.relocaliser.candidates(view, count, &|_| true)?;
+        let mut all: Vec<Proposal> = as_it_is.into_iter().map(Proposal::at).collect();
+        for view_from_moved in moves(own.reach_m, own.reach_rad) {
+            let moved = view.seen_from(&self.camera, &view_from_moved);
+            let found = self.relocaliser.candidates(&moved, count, &|_| true)?;
+            all.extend(found.into_iter().map(|candidate| Proposal::seen_from(candidate, &view_from_moved)));
+        }
+        Ok(apart(all, own))
+    }
+
+    /// Finds the frame wherever it may be, and beside that the keyframes that it resembles, the most similar first.
+    pub(crate) fn find_anywhere(
         &mut self,
+        device: &Device,
         mapper: &mut Mapper,
         eyes: &mut Eyes<'_>,
         frame: &Frame,
-        candidates: &[Candidate],
-    ) -> Result<Option<Found>, Error> {
-        // What was learnt at other places must not tell one try from another.
-        self.trial.tracker.learn(&self.unlearnt);
-        let mut led = Vec::new();
-        for candidate in candidates {
-            let pose = candidate.keyframe.submap_from_camera;
-            self.look_from(mapper, candidate.keyframe.submap, &pose)?;
-            let tracked = self.trial.search(eyes, frame, &near(&pose), SEARCHED)?.expect("there is a model");
-            led.push((*candidate, tracked));
-        }
-        led.sort_by(|(_, a), (_, b)| a.chance_wrong.total_cmp(&b.chance_wrong));
-        let mut best: Option<Found> = None;
-        for (candidate, tracked) in led.into_iter().take(FOLLOWED_UP) {
-            let submap = candidate.keyframe.submap;
-            let Some(tracked) = self.follow_up(mapper, eyes, frame, submap, tracked)? else { continue };
-            if best.as_ref().is_none_or(|best| tracked.chance_wrong < best.tracked.chance_wrong) {
-                best = Some(Found { candidate, tracked });
-            }
-        }
-        Ok(best)
+    ) -> Result<(Vec<Candidate>, Option<Found>), Error> {
+        let candidates = self.candidates(device, &|_| true)?;
+        let proposals = self.proposals(device)?;
+        let found = self.find_from(mapper, eyes, frame, &proposals, &candidates)?;
+        Ok((candidates, found))
     }
-
-    /// Finds the frame in a submap near where it is expected.
-    pub(crate) fn find_near(
-        &mut self,
-        mapper: &mut Mapper,
-        eyes: &mut Eyes<'_>,
-        frame: &Frame,
-        submap: u16,
-        submap_from_camera: &Se3,
-    ) -> Result<Option<Tracked>, Error> {
-        self.trial.tracker.learn(&self.unlearnt);
-        self.look_from(mapper, submap, submap_from_camera)?;
-        let tracked = self.trial.track_from(eyes, frame, &[*submap_from_camera])?.expect("there is a model");
-        self.follow_up(mapper, eyes, frame, submap, tracked)
-    }
-
-    /// Tracks again from where tracking led, with the map as seen from there, until all that the frame shows agrees with it;
-    /// `None` where it does not come to that.
-    fn follow_up(
-        &mut self,
-        mapper: &mut Mapper,
-        eyes: &mut Eyes<'_>,
-        frame: &Frame,
-        submap: u16,
-        mut tracked: Tracked,
-    ) -> Result<Option<Tracked>, Error> {
-        for round in 0..ROUNDS {
-            let pose = tracked.estimate;
-            self.look_from(mapper, submap, &pose)?;
-            let next = self.trial.track_from(eyes, frame, &[pose])?.expect("there is a model");
-            let (verdict, share) = (next.verdict.name(), next.inlier_share);
-            tracing::debug!(submap, round, verdict, next.chance_wrong, share, "a place is tried");
-            if next.verdict == Verdict::Good {
-                return Ok((next.inlier_share >= self.min_inlier_share).then_some(next));
-            }
-            if round > 0 && next.chance_wrong >= tracked.chance_wrong {
-                break;
-            }
-            tracked = next;
-        }
-        Ok(None)
-    }
-
-    /// Casts a submap as it is seen from a pose, to be tracked against.
-    fn look_from(&mut self, mapper: &mut Mapper, submap: u16, submap_from_camera: &Se3) -> Result<(), Error> {
-        mapper.cast_for_tracking(submap, &mut self.trial.model, submap_from_camera)?;
-        self.trial.submap = submap;
-        self.trial.submap_from_model = Some(*submap_from_camera);
-        Ok(())
-    }
-}
-
-/// Of depth alone: a candidate's place has no frame before whose colours could be compared.
-fn trial_settings(settings: &Settings) -> Settings {
-    let mut settings = settings.clone();
-    settings.tracker.kind = TrackerKind::Extended;
-    settings.tracker.extended.use_depth = true;
-    settings.tracker.extended.use_colour = false;
-    settings.tracker.extended.use_map_colour = false;
-    // From further away than between frames, and not turning alone.
-    settings.tracker.extended.levels = "bbbb".into();
-    settings.tracker.extended.max_plane_distance_coarse_m = 0.3;
-    settings
-}
-
-/// Poses around a keyframe's: it, and others as far as most of its view is still in view.
-fn near(pose: &Se3) -> Vec<Se3> {
-    let mut poses = Vec::new();
-    for degrees in [0.0_f64, 12.0, -12.0, 24.0, -24.0] {
-        for [x, z] in [[0.0, 0.0], [0.3, 0.0], [-0.3, 0.0], [0.0, 0.3], [0.0, -0.3], [0.0, 0.6], [0.0, -0.6]] {
-            poses.push(
-                *pose
-                    * Se3::exp([x, 0.0, z, 0.0, 0.0, 0.0])
-                    * Se3::exp([0.0, 0.0, 0.0, 0.0, degrees.to_radians(), 0.0]),
-            );
-        }
-    }
-    for degrees in [10.0_f64, -10.0] {
-        poses.push(*pose * Se3::exp([0.0, 0.0, 0.0, degrees.to_radians(), 0.0, 0.0]));
-        poses.push(*pose * Se3::exp([0.0, 0.0, 0.0, 0.0, 0.0, 2.0 * degrees.to_radians()]));
-    }
-    poses
-}
-
-/// Poses around one, to start from after a loss: turned as far as an image still overlaps, or moved aside while turning.
-pub(crate) fn around(pose: &Se3) -> Vec<Se3> {
-    let mut poses = Vec::new();
-    for degrees in [8.0_f64, -8.0, 16.0, -16.0] {
-        let angle = degrees.to_radians();
-        poses.push(*pose * Se3::exp([0.0, 0.0, 0.0, angle, 0.0, 0.0]));
-        for aside_m in [-0.15, 0.0, 0.15] {
-            poses.push(*pose * Se3::exp([aside_m, 0.0, 0.0, 0.0, angle, 0.0]));
-        }
-    }
-    poses
 }

@@ -28,7 +28,7 @@ use crate::submaps::Beside;
 use crate::tracking::{Against, Tracked, Tracker, Verdict, colour_offset};
 use crate::views::MapViews;
 use crate::warning::Warning;
-use itm_reloc::Keyframe;
+use itm_reloc::{AveragePose, Keyframe, average_pose};
 
 /// Where poses come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,7 +87,8 @@ impl Slam {
         settings.validate()?;
         calibration.validate()?;
         let tracker = Tracker::new(settings, &calibration.depth)?;
-        let places = Places::new(device, calibration, settings)?;
+        let mapper = Mapper::new(device, calibration, settings)?;
+        let places = Places::new(device, calibration, settings, &mapper.map)?;
         let mut needs = match poses {
             Poses::Tracked => Needs::of(&tracker),
             Poses::Given => Needs::nothing(),
@@ -120,7 +121,7 @@ impl Slam {
             next_look: 0,
             needs,
             places,
-            mapper: Mapper::new(device, calibration, settings)?,
+            mapper,
             render: Render::new(device),
             extract: Extract::new(device),
             trajectory: Trajectory::default(),
@@ -368,11 +369,13 @@ impl Slam {
         let _untimed = self.look(frame)?;
         let Self { device, places, mapper, evaluator, view, calibration, settings, .. } = self;
         let Some(places) = places else { return Ok(Sighting::default()) };
-        let candidates = places.candidates(device, &|_| true)?;
         let mut eyes = Eyes { evaluator, view, calibration, settings };
-        let found = places.find(mapper, &mut eyes, frame, &candidates)?;
-        let resembles = candidates.first().map(|candidate| candidate.keyframe);
-        Ok(Sighting { resembles, found: found.map(|found| (found.candidate.keyframe, found.tracked)) })
+        let (candidates, found) = places.find_anywhere(device, mapper, &mut eyes, frame)?;
+        Ok(Sighting {
+            resembles: candidates.first().map(|candidate| candidate.keyframe),
+            average: average_pose(&candidates, &settings.relocaliser),
+            found: found.map(|found| (found.candidate.keyframe, found.tracked)),
+        })
     }
 
     /// Finds the frame among the places that the camera has been at. It is followed, but fused only once further frames are
@@ -381,9 +384,8 @@ impl Slam {
         self.leave_out_emptied()?;
         let Self { device, places, mapper, evaluator, view, calibration, settings, .. } = self;
         let Some(places) = places else { return Ok(None) };
-        let candidates = places.candidates(device, &|_| true)?;
         let mut eyes = Eyes { evaluator, view, calibration, settings };
-        let Some(found) = places.find(mapper, &mut eyes, frame, &candidates)? else { return Ok(None) };
+        let (_, Some(found)) = places.find_anywhere(device, mapper, &mut eyes, frame)? else { return Ok(None) };
         let mut happenings = vec![found.happening()];
         self.return_to(found.candidate.keyframe.submap, &mut happenings)?;
         let (primary, happening) = (&mut self.primary, found.happening());
@@ -636,6 +638,8 @@ impl Slam {
 pub struct Sighting {
     /// The keyframe that the frame resembles most, wherever the camera is.
     pub resembles: Option<Keyframe>,
+    /// The mean of its pose and those of other similar keyframes near it; see [`itm_reloc::average_pose`].
+    pub average: Option<AveragePose>,
     /// Where the camera is, in the submap of the keyframe that led there.
     pub found: Option<(Keyframe, Tracked)>,
 }

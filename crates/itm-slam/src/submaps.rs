@@ -294,7 +294,7 @@ impl Slam {
             found = tracked.map(|tracked| (submap, None, tracked.world_from_camera));
         }
         if found.is_none()
-            && let Some(Found { candidate, tracked }) = places.find(mapper, &mut eyes, frame, &candidates)?
+            && let Some(Found { candidate, tracked }) = places.find_among(mapper, &mut eyes, frame, &candidates)?
         {
             found = Some((candidate.keyframe.submap, Some(candidate.keyframe.id), tracked.world_from_camera));
         }

@@ -5,7 +5,7 @@ use glam::DVec3;
 use itm_core::Se3;
 use nalgebra::Vector6;
 
-use super::{Evaluation, Guess, LevelPlan, Noise, NormalEquations, Objective, Plan};
+use super::{Evaluation, Guess, LevelPlan, Noise, NormalEquations, Objective, Plan, Request};
 
 /// What an optimisation found.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,8 +49,7 @@ pub fn optimise(
         let index = plan.letters - 1 - level.request.level;
         let found = if place == 0 {
             let mut best: Option<LevelEnd> = None;
-            for (start, guess) in starts.iter().enumerate() {
-                let end = descend(objective, guess, level, plan, noise)?;
+            for (start, end) in descend(objective, starts, level, plan, noise)?.into_iter().enumerate() {
                 outcome.evaluations[index] += end.evaluations;
                 // Another start must be better by more than rounding, so that ties are held at the first one.
                 if best.as_ref().is_none_or(|b| end.equations.cost_of_all < 0.98 * b.equations.cost_of_all) {
@@ -60,9 +59,9 @@ pub fn optimise(
             }
             best
         } else {
-            let end = descend(objective, &outcome.guess, level, plan, noise)?;
-            outcome.evaluations[index] += end.evaluations;
-            Some(end)
+            let end = descend(objective, &[outcome.guess], level, plan, noise)?.pop();
+            outcome.evaluations[index] += end.as_ref().map_or(0, |end| end.evaluations);
+            end
         };
         let Some(end) = found else { continue };
         outcome.guess = end.guess;
@@ -71,6 +70,26 @@ pub fn optimise(
         outcome.equations = Some(end.equations);
     }
     Ok(outcome)
+}
+
+/// Finds the pose at which the objective is least from each of several guesses, as [`optimise`] does from one: together, so that
+/// it waits as often as for the one that takes longest. In the guesses' order.
+///
+/// # Errors
+/// As [`optimise`].
+pub(crate) fn optimise_each(
+    objective: &mut dyn Objective,
+    starts: &[Guess],
+    plan: &Plan,
+    noise: &Noise,
+) -> Result<Vec<(Guess, Option<NormalEquations>)>, itm_gpu::Error> {
+    let mut found: Vec<_> = starts.iter().map(|guess| (*guess, None)).collect();
+    for level in &plan.levels {
+        let guesses: Vec<Guess> = found.iter().map(|(guess, _)| *guess).collect();
+        let ends = descend(objective, &guesses, level, plan, noise)?;
+        found = ends.into_iter().map(|end| (end.guess, Some(end.equations))).collect();
+    }
+    Ok(found)
 }
 
 /// Where a level ended.
@@ -82,13 +101,92 @@ struct LevelEnd {
     held: usize,
 }
 
+/// One level's way down from one guess.
+struct Descent<'a> {
+    level: &'a LevelPlan,
+    plan: &'a Plan,
+    noise: &'a Noise,
+    request: Request,
+    pivot: DVec3,
+    colour_weight: f64,
+    end: LevelEnd,
+    damping: f64,
+    steps: u32,
+    /// What is to be evaluated next.
+    candidate: Option<Guess>,
+}
+
+impl<'a> Descent<'a> {
+    fn new(
+        (level, plan, noise): (&'a LevelPlan, &'a Plan, &'a Noise),
+        request: Request,
+        pivot: DVec3,
+        guess: Guess,
+        evaluation: Evaluation,
+    ) -> Self {
+        let colour_weight = NormalEquations::colour_weight(&evaluation, &request, plan, noise);
+        let equations = NormalEquations::new(&evaluation, &request, plan, noise, colour_weight);
+        let end = LevelEnd { guess, evaluation, equations, evaluations: 1, held: 0 };
+        let mut descent =
+            Self { level, plan, noise, request, pivot, colour_weight, end, damping: 0.0, steps: 0, candidate: None };
+        descent.propose();
+        descent
+    }
+
+    /// Finds the next candidate, or none at the end.
+    fn propose(&mut self) {
+        self.candidate = None;
+        let LevelEnd { guess, evaluation, equations, held, .. } = &mut self.end;
+        if self.steps == self.level.max_steps || pairs(evaluation) < self.plan.min_pairs {
+            return;
+        }
+        self.steps += 1;
+        let Some((step, held_now)) = equations.step(self.level.part, self.damping, self.plan.min_information) else {
+            return;
+        };
+        *held = held_now;
+        let candidate = Guess {
+            world_from_camera: moved(&guess.world_from_camera, self.pivot, &step),
+            exposure: equations.exposures(guess, &step),
+        };
+        if step.norm() < self.plan.min_step {
+            *guess = candidate;
+        } else {
+            self.candidate = Some(candidate);
+        }
+    }
+
+    /// Goes to the candidate if it is better there, and on.
+    fn take(&mut self, evaluation: Evaluation) {
+        let Some(candidate) = self.candidate.take() else { return };
+        let Self { request, plan, noise, colour_weight, end, .. } = self;
+        let equations = NormalEquations::new(&evaluation, request, plan, noise, *colour_weight);
+        end.evaluations += 1;
+        if equations.cost <= end.equations.cost {
+            let small = end.equations.cost - equations.cost < plan.min_decrease * end.equations.cost;
+            (end.guess, end.evaluation, end.equations) = (candidate, evaluation, equations);
+            self.damping *= 0.1;
+            if small {
+                return;
+            }
+        } else {
+            self.damping = f64::max(self.damping * 10.0, 1e-2);
+            if self.damping > 1e3 {
+                return;
+            }
+        }
+        self.propose();
+    }
+}
+
+/// Carries a level out from each of several guesses.
 fn descend(
     objective: &mut dyn Objective,
-    start: &Guess,
+    starts: &[Guess],
     level: &LevelPlan,
     plan: &Plan,
     noise: &Noise,
-) -> Result<LevelEnd, itm_gpu::Error> {
+) -> Result<Vec<LevelEnd>, itm_gpu::Error> {
     let mut request = level.request;
     for (term, sigma) in request.colour.iter_mut().zip(noise.colour) {
         // Before the images are aligned, differences are larger than the noise.
@@ -96,58 +194,39 @@ fn descend(
             term.cutoff = term.cutoff.min((plan.tukey_cutoff * sigma) as f32);
         }
     }
-    let mut guess = *start;
     let pivot = objective.pivot();
-    let mut evaluation = objective.evaluate(&guess, &request)?;
-    let colour_weight = NormalEquations::colour_weight(&evaluation, &request, plan, noise);
-    let equations_of = |e: &Evaluation| NormalEquations::new(e, &request, plan, noise, colour_weight);
-    let mut equations = equations_of(&evaluation);
-    let mut evaluations = 1;
-    let (mut damping, mut held) = (0.0, 0);
-    for _ in 0..level.max_steps {
-        if pairs(&evaluation) < plan.min_pairs {
+    let evaluations = objective.evaluate_all(starts, &request)?;
+    let of = (level, plan, noise);
+    let mut descents: Vec<_> = starts
+        .iter()
+        .zip(evaluations)
+        .map(|(guess, evaluation)| Descent::new(of, request, pivot, *guess, evaluation))
+        .collect();
+    loop {
+        let (going, candidates): (Vec<_>, Vec<Guess>) =
+            descents.iter_mut().filter_map(|descent| descent.candidate.map(|candidate| (descent, candidate))).unzip();
+        if going.is_empty() {
             break;
         }
-        let Some((step, held_now)) = equations.step(level.part, damping, plan.min_information) else { break };
-        held = held_now;
-        let candidate = Guess {
-            world_from_camera: moved(&guess.world_from_camera, pivot, &step),
-            exposure: equations.exposures(&guess, &step),
-        };
-        if step.norm() < plan.min_step {
-            guess = candidate;
-            break;
-        }
-        let there = objective.evaluate(&candidate, &request)?;
-        let equations_there = equations_of(&there);
-        evaluations += 1;
-        if equations_there.cost <= equations.cost {
-            let small = equations.cost - equations_there.cost < plan.min_decrease * equations.cost;
-            (guess, evaluation, equations) = (candidate, there, equations_there);
-            damping *= 0.1;
-            if small {
-                break;
-            }
-        } else {
-            damping = f64::max(damping * 10.0, 1e-2);
-            if damping > 1e3 {
-                break;
-            }
+        for (descent, evaluation) in going.into_iter().zip(objective.evaluate_all(&candidates, &request)?) {
+            descent.take(evaluation);
         }
     }
-    tracing::trace!(
-        level = level.request.level,
-        evaluations,
-        held,
-        damping,
-        cost = equations.cost,
-        pairs = pairs(&evaluation),
-        information = ?equations.information(),
-        ?noise,
-        exposure = ?guess.exposure,
-        "a level ended"
-    );
-    Ok(LevelEnd { guess, evaluation, equations, evaluations, held })
+    for Descent { end: LevelEnd { evaluations, held, equations, evaluation, guess }, damping, .. } in &descents {
+        tracing::trace!(
+            level = level.request.level,
+            evaluations,
+            held,
+            damping,
+            cost = equations.cost,
+            pairs = pairs(evaluation),
+            information = ?equations.information(),
+            ?noise,
+            exposure = ?guess.exposure,
+            "a level ended"
+        );
+    }
+    Ok(descents.into_iter().map(|descent| descent.end).collect())
 }
 
 fn pairs(evaluation: &Evaluation) -> u32 {
@@ -354,6 +433,21 @@ mod tests {
         assert!(free.0 > 5e-3 && free.1 == 0, "{free:?}");
         // What is held is nearly, but not exactly, the motion along the plane.
         assert!(held.0 < 5e-4 && held.1 == 3, "{held:?}");
+    }
+
+    #[test]
+    fn from_each_of_several_starts_the_same_is_found_as_from_it_alone() {
+        let truth = Se3::exp([0.1, -0.05, 0.2, 0.1, 0.2, -0.15]);
+        let mut corner = Corner::new(truth).noisy(0.003);
+        // One that needs longer, one that is there at once, and one from which nothing is found.
+        let starts = [[0.3, 0.1, -0.2, 0.0, 0.4, 0.0], truth.log(), [0.0; 6], [9.0, 9.0, 9.0, 0.0, 0.0, 0.0]];
+        let starts = starts.map(|twist| Guess::at(Se3::exp(twist)));
+        let each = optimise_each(&mut corner, &starts, &plan("bb"), &Noise::default()).unwrap();
+        assert_eq!(each.len(), starts.len());
+        for ((guess, equations), start) in each.into_iter().zip(starts) {
+            let alone = found(&mut corner, start.world_from_camera, &plan("bb"));
+            assert_eq!((guess, equations), (alone.guess, alone.equations));
+        }
     }
 
     #[test]

@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::plan::{Age, Plan};
 use super::{
-    Exposure, Guess, Motion, Noise, NormalEquations, Objective, Tracked, Verdict, classifier, optimise, verdict,
+    Exposure, Guess, Motion, Noise, NormalEquations, Objective, Tracked, Verdict, classifier, optimise, optimise_each,
+    verdict,
 };
 use crate::Error;
 
@@ -178,7 +179,7 @@ impl Tracker {
         }
     }
 
-    /// Of several poses to start from those where the coarsest level's error is the least, the best first.
+    /// Of several poses those where the error over the whole frame is the least at the coarsest level, the best first.
     ///
     /// # Errors
     /// Where the device was lost.
@@ -186,19 +187,41 @@ impl Tracker {
         &self,
         objective: &mut dyn Objective,
         age: Age,
-        starts: &[Se3],
+        poses: &[Se3],
         most: usize,
     ) -> Result<Vec<Se3>, Error> {
-        let Some(plan) = self.plan(age) else { return Ok(starts.iter().copied().take(most).collect()) };
+        let Some(plan) = self.plan(age) else { return Ok(Vec::new()) };
         let Some(level) = plan.levels.first() else { return Ok(Vec::new()) };
-        let mut ranked = Vec::new();
-        for start in starts {
-            let evaluation = objective.evaluate(&Guess::at(*start), &level.request)?;
-            let cost = NormalEquations::new(&evaluation, &level.request, &plan, &self.noise, plan.colour_weight).cost;
-            ranked.push((cost, *start));
-        }
+        let guesses: Vec<Guess> = poses.iter().map(|pose| Guess::at(*pose)).collect();
+        let evaluations = objective.evaluate_all(&guesses, &level.request)?;
+        let error = |evaluation| {
+            NormalEquations::new(evaluation, &level.request, &plan, &self.noise, plan.colour_weight).cost_of_all
+        };
+        let mut ranked: Vec<_> = evaluations.iter().map(error).zip(poses.iter().copied()).collect();
         ranked.sort_by(|(a, _), (b, _)| a.total_cmp(b));
-        Ok(ranked.into_iter().take(most).map(|(_, start)| start).collect())
+        Ok(ranked.into_iter().take(most).map(|(_, pose)| pose).collect())
+    }
+
+    /// Where several poses lead, and the error over the whole frame there, the least first. No verdict.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub(crate) fn refine(
+        &self,
+        objective: &mut dyn Objective,
+        age: Age,
+        starts: &[Se3],
+    ) -> Result<Vec<(f64, Se3)>, Error> {
+        let Some(plan) = self.plan(age) else { return Ok(Vec::new()) };
+        let starts: Vec<Guess> = starts.iter().map(|start| Guess::at(*start)).collect();
+        let mut refined = Vec::new();
+        for (guess, equations) in optimise_each(objective, &starts, &plan, &self.noise)? {
+            if let Some(equations) = equations.filter(|_| guess.world_from_camera.is_finite()) {
+                refined.push((equations.cost_of_all, guess.world_from_camera));
+            }
+        }
+        refined.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        Ok(refined)
     }
 
     fn track_composite(
