@@ -16,6 +16,7 @@ use naga::{AddressSpace, ArraySize, Scalar, ScalarKind, StorageAccess, TypeInner
 /// Passes that come in several variants, for the features that the file's `@if(...)` ask for. Each entry of a pass is a choice
 /// of feature sets; the variants are all combinations. Passes that are not listed have one variant without features.
 const VARIANTS: &[(&str, &[Choice])] = &[
+    ("associate/visible", &[&[&[], &["removing"]]]),
     ("confidence", &[PAGES]),
     ("integrate", &[F32, COLOUR, WEIGHTED, CONFIDENCE]),
     ("mesh/gather", &[F32]),

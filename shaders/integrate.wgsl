@@ -3,6 +3,7 @@
 // words; eight blocks a workgroup.
 import package::shared::camera::{Camera, project, inside};
 import package::shared::map::{Map, VISIBLE, BLOCK_VOXELS, unpack_position};
+import package::shared::running_colour::with_colour;
 import package::shared::distance::{Voxel, NEARLY_EMPTY, unpack_distance, unpack_weight, pack_distance};
 
 struct Params {
@@ -64,16 +65,7 @@ struct Params {
     }
     let observed = mix(mix(a.rgb, b.rgb, f.x), mix(c.rgb, d.rgb, f.x), f.y);
 
-    let word = colours[at];
-    let weight = word >> 24u;
-    let old = unpack4x8unorm(word).rgb * 255.0;
-    let change = (observed - old) / f32(weight + 1u);
-    // A mean of bytes would stop following once its steps round to zero. Moving by at least one towards the observation
-    // turns it into a running median there. A little over a half: halves are rounded up, so that downwards they stand still.
-    let least = select(vec3(0.0), sign(observed - old), abs(observed - old) >= vec3(1.0));
-    let moved = select(old + change, old + least, abs(change) < vec3(0.51));
-    let limit = min(params.max_weight, 255u);
-    colours[at] = pack4x8unorm(vec4(moved / 255.0, 0.0)) | (min(weight + 1u, limit) << 24u);
+    colours[at] = with_colour(colours[at], observed, params.max_weight);
 }
 
 @compute @workgroup_size(64)

@@ -5,7 +5,8 @@ import package::shared::camera::{Camera, unproject};
 struct Params {
     camera: Camera,
     reach_m: f32,
-    unused_a: u32,
+    // Pixels to either side; where one of those is missing, the next ones count.
+    apart: i32,
     unused_b: vec2<u32>,
 }
 
@@ -26,6 +27,20 @@ fn neighbour(pixel: vec2<i32>, z: f32) -> vec4<f32> {
     return vec4(unproject(params.camera, vec2<f32>(pixel), other), 1.0);
 }
 
+// The normal by the neighbours so many pixels away; w is 0 where one of them is missing.
+fn normal_between(pixel: vec2<i32>, vertex: vec3<f32>, apart: i32) -> vec4<f32> {
+    let left = neighbour(pixel - vec2(apart, 0), vertex.z);
+    let right = neighbour(pixel + vec2(apart, 0), vertex.z);
+    let above = neighbour(pixel - vec2(0, apart), vertex.z);
+    let below = neighbour(pixel + vec2(0, apart), vertex.z);
+    let n = cross(right.xyz - left.xyz, below.xyz - above.xyz);
+    let l = length(n);
+    if left.w * right.w * above.w * below.w == 0.0 || l <= 1e-20 {
+        return vec4(0.0);
+    }
+    return vec4(n * (select(1.0, -1.0, dot(n, vertex) > 0.0) / l), 1.0);
+}
+
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let size = params.camera.size;
@@ -39,16 +54,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if z > 0.0 {
         let pixel = vec2<i32>(id.xy);
         vertex = vec4(unproject(params.camera, vec2<f32>(pixel), z), 1.0);
-        let left = neighbour(pixel - vec2(1, 0), z);
-        let right = neighbour(pixel + vec2(1, 0), z);
-        let above = neighbour(pixel - vec2(0, 1), z);
-        let below = neighbour(pixel + vec2(0, 1), z);
-        if left.w * right.w * above.w * below.w > 0.0 {
-            let n = cross(right.xyz - left.xyz, below.xyz - above.xyz);
-            let l = length(n);
-            if l > 1e-20 {
-                normal = vec4(n * (select(1.0, -1.0, dot(n, vertex.xyz) > 0.0) / l), 1.0);
-            }
+        normal = normal_between(pixel, vertex.xyz, params.apart);
+        if normal.w == 0.0 && params.apart > 1 {
+            normal = normal_between(pixel, vertex.xyz, 1);
         }
     }
     vertices[at] = vertex;

@@ -59,6 +59,8 @@ struct Info {
     poses: usize,
     trajectory_seconds: f64,
     trajectory_length_m: f64,
+    /// Of a map of surfels.
+    surfels: Option<usize>,
     sections: Vec<Section>,
 }
 
@@ -97,6 +99,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let (device_blocks, host_blocks) = (count(tag::BLOCKS)?, count(tag::HOST_BLOCKS)?);
     let trajectory = if reader.has(tag::TRAJECTORY) { reader.trajectory()? } else { Trajectory::default() };
     let poses_of_submaps = reader.submaps()?;
+    let surfels = itm_slam::count_surfels(&mut reader)?;
     let header = reader.header().clone();
     let block_m = f64::from(header.voxel_size_m) * f64::from(BLOCK_SIDE);
     let bounds = keys.iter().map(|k| (k.position, k.position)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
@@ -127,6 +130,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         trajectory_length_m: steps
             .map(|w| w[0].world_from_camera.translation.distance(w[1].world_from_camera.translation))
             .fold(0.0, |sum, step| sum + step),
+        surfels,
         sections: reader
             .sections()
             .map(|s| Section {
@@ -182,6 +186,9 @@ impl fmt::Display for Info {
             f,
             "blocks      {blocks} ({device_blocks} from the device, {host_blocks} from the host): {in_memory:.1} MiB"
         )?;
+        if let Some(surfels) = self.surfels {
+            writeln!(f, "surfels     {surfels}")?;
+        }
         if self.submaps.len() > 1 {
             writeln!(f, "submaps     {}", self.submaps.len())?;
             for Submap { submap, blocks, world_from_submap } in &self.submaps {

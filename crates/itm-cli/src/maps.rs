@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context as _, Result, bail};
-use itm_slam::{Device, SavedMap};
+use itm_slam::{Device, Mode, SavedMap, SavedSession, Slam};
 
 use crate::console;
 
@@ -23,6 +23,24 @@ pub(crate) fn open(path: &Path, memory_mib: u64, quiet: bool) -> Result<SavedMap
         bail!("the map '{}' is empty: it holds no blocks", path.display());
     }
     Ok(map)
+}
+
+/// The session that made a map of surfels; none where it is one of voxels.
+pub(crate) fn of_surfels(path: &Path, device: Option<&str>) -> Result<Option<Slam>> {
+    // What is wrong with a file is told by what reads all of it.
+    let Some(saved) = SavedSession::open(path).ok().filter(|saved| saved.settings.mode == Mode::Surfels) else {
+        return Ok(None);
+    };
+    let device = match device {
+        Some(asked) => Device::open(asked)?,
+        // That machine may have had another one.
+        None => Device::open(&saved.settings.device.adapter).or_else(|_| Device::open("auto"))?,
+    };
+    let slam = Slam::resume(&device, path)?;
+    if slam.surfels()?.is_empty() {
+        bail!("the map '{}' is empty: it holds no stable surfels", path.display());
+    }
+    Ok(Some(slam))
 }
 
 /// Checks that a map has blocks of a submap.

@@ -6,10 +6,11 @@ use std::time::Instant;
 use anyhow::{Result, bail};
 use clap::Args;
 use glam::{DVec3, Vec3};
-use itm_core::PointCloud;
+use itm_core::surfel::{Surfel, cloud_of_surfels};
+use itm_core::{Mesh, PointCloud};
 use itm_io::mesh::{self as mesh_file, UpAxis};
 use itm_io::points as point_file;
-use itm_slam::{MeshOptions, decimate};
+use itm_slam::{MeshOptions, Slam, decimate};
 use serde_json::json;
 
 use crate::console;
@@ -87,6 +88,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         mesh_file::check_name(out)?
     }
     maps::check_folder_of(out)?;
+    if let Some(slam) = maps::of_surfels(&arguments.map, arguments.device.as_deref())? {
+        return of_surfels(arguments, slam);
+    }
     let mut map = maps::open(&arguments.map, arguments.memory, arguments.quiet)?;
     if let Some(submap) = arguments.submap {
         maps::check_submap(&map, submap)?;
@@ -104,8 +108,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         Some(submap) => map.mesh_submap(submap, &device, &options, &mut progress),
     };
     bar.finish_and_clear();
-    let mut mesh = mesh?;
-    let seconds = started.elapsed().as_secs_f64();
+    let (mesh, seconds) = (mesh?, started.elapsed().as_secs_f64());
+    let (blocks, text) = (map.blocks(), format!("{} blocks", map.blocks()));
+    finish(arguments, mesh, seconds, ("blocks", blocks, &text))
+}
+
+/// Makes of a map's mesh what was asked for, writes it, and says so. `of` is what was meshed: its key in JSON, number, and text.
+fn finish(arguments: &Arguments, mut mesh: Mesh, seconds: f64, of: (&str, usize, &str)) -> Result<u8> {
+    let out = &arguments.out;
     if mesh.is_empty() {
         bail!(
             "the map '{}' has no surface where voxels were observed {} times",
@@ -135,14 +145,15 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         mesh_file::write(out, &mesh, &mesh_file::MeshOptions { up })?;
     }
     if arguments.json {
-        console::print_json(&json!({
+        let mut answer = json!({
             "file": out,
             "vertices": vertices,
             "triangles": if arguments.points { 0 } else { triangles },
-            "blocks": map.blocks(),
             "triangles_meshed": found,
             "seconds_meshing": seconds,
-        }))?;
+        });
+        answer[of.0] = of.1.into();
+        console::print_json(&answer)?;
     } else if !arguments.quiet {
         let size = std::fs::metadata(out).map_or(0, |m| m.len()) as f64 / MIB as f64;
         let shown = out.display();
@@ -152,9 +163,54 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
             format!("{vertices} vertices, {triangles} triangles")
         };
         console::print(format_args!(
-            "{shown}: {what}, {size:.1} MiB; {} blocks meshed in {seconds:.1} s into {found} triangles",
-            map.blocks()
+            "{shown}: {what}, {size:.1} MiB; {} meshed in {seconds:.1} s into {found} triangles",
+            of.2
         ))?;
+    }
+    Ok(0)
+}
+
+/// The same for a map of surfels: the surfels themselves as points, or the mesh of what the camera would see of them along its way.
+fn of_surfels(arguments: &Arguments, mut slam: Slam) -> Result<u8> {
+    let of_voxels = [
+        ("--submap", arguments.submap.is_some()),
+        ("--fuse-submaps", arguments.fuse_submaps),
+        ("--min-weight", arguments.min_weight != 1),
+        ("--components", arguments.points && arguments.components.is_some()),
+        ("--decimate", arguments.points && arguments.decimate.is_some()),
+    ];
+    if let Some((option, _)) = of_voxels.into_iter().find(|(_, given)| *given) {
+        let what = if arguments.points { "points of surfels" } else { "maps of surfels" };
+        bail!("{option} says nothing of {what}, as '{}' has them", arguments.map.display());
+    }
+    let surfels = slam.surfels()?;
+    if !arguments.points {
+        let started = Instant::now();
+        let bar = console::bar(0, "views meshed", arguments.quiet);
+        let mesh = slam.mesh(&mut |done, all| {
+            bar.set_length(all.into());
+            bar.set_position(done.into());
+        });
+        bar.finish_and_clear();
+        let text = format!("{} surfels", surfels.len());
+        return finish(arguments, mesh?, started.elapsed().as_secs_f64(), ("surfels", surfels.len(), &text));
+    }
+    let inside = |surfel: &&Surfel| {
+        let p = surfel.position;
+        arguments.crop.is_none_or(|[min, max]| p.cmpge(min).all() && p.cmple(max).all())
+    };
+    let kept: Vec<Surfel> = surfels.iter().filter(inside).copied().collect();
+    if kept.is_empty() {
+        bail!("nothing is left of {} surfels after --crop", surfels.len());
+    }
+    point_file::write(&arguments.out, &cloud_of_surfels(&kept), arguments.up.map(UpAxis::from).unwrap_or_default())?;
+    let shown = arguments.out.display();
+    if arguments.json {
+        console::print_json(
+            &json!({ "file": arguments.out, "vertices": kept.len(), "triangles": 0, "surfels": surfels.len() }),
+        )?;
+    } else if !arguments.quiet {
+        console::print(format_args!("{shown}: {} points of {} surfels", kept.len(), surfels.len()))?;
     }
     Ok(0)
 }

@@ -8,9 +8,9 @@ use clap::{Args, ValueEnum};
 use glam::{DQuat, DVec3};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder as _};
-use itm_core::{Image, Intrinsics, Se3, Settings};
+use itm_core::{Image, Intrinsics, Se3, Settings, Trajectory};
 use itm_io::mesh::UpAxis;
-use itm_slam::{BlockSource, MapViews, SavedMap, Scale, Shading, full_confidence};
+use itm_slam::{BlockSource, MapViews, SavedMap, Scale, Shading, Slam, full_confidence};
 use serde_json::json;
 
 use crate::{console, maps, pictures, synth};
@@ -106,6 +106,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     arguments.check_out()?;
     let given = arguments.camera.as_deref().map(itm_io::calibration::read).transpose()?.map(|c| c.depth);
     let poses = arguments.trajectory.as_deref().map(itm_io::trajectory::read_tum).transpose()?;
+    if let Some(slam) = maps::of_surfels(&arguments.map, arguments.device.as_deref())? {
+        return arguments.draw_surfels(slam, given, poses.as_ref());
+    }
     let mut map = maps::open(&arguments.map, arguments.memory, arguments.quiet)?;
     if arguments.kind == Kind::Colour && !map.header().voxel_kind.colour {
         bail!("the map '{}' has no colours; try --kind grey", arguments.map.display());
@@ -114,23 +117,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         maps::check_submap(&map, submap)?;
     }
     let camera = arguments.camera(given.unwrap_or(map.header().calibration.depth));
-    let poses: Vec<Se3> = match (arguments.pose, &poses) {
-        (Some(pose), _) => vec![pose],
-        (None, given) => {
-            let poses = given.as_ref().unwrap_or(map.trajectory()).poses();
-            poses.iter().step_by(arguments.every as usize).map(|pose| pose.world_from_camera).collect()
-        }
-    };
-    if poses.is_empty() {
-        bail!("there is no pose to render from; give one with --pose");
-    }
+    let poses = arguments.poses(poses.as_ref().unwrap_or(map.trajectory()))?;
     let settings = settings_of(&map);
     let max_depth_m = arguments.max_depth.unwrap_or(settings.view.max_depth_m + settings.map.truncation_m);
     let scale = Scale { depth_m: [0.0, max_depth_m], confidence: full_confidence(&settings) };
-    if arguments.pose.is_none() {
-        let shown = arguments.out.display();
-        fs::create_dir_all(&arguments.out).with_context(|| format!("cannot make the output folder '{shown}'"))?;
-    }
+    arguments.make_folder()?;
     let device = maps::device(arguments.device.as_deref(), &map)?;
     // The combined map is one submap, with number 0.
     let mut views = MapViews::new(&device, map.layout(), arguments.submap.unwrap_or(0), MAX_BLOCKS)?;
@@ -146,10 +137,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let (mut files, mut points) = (Vec::new(), 0);
     for (i, pose) in poses.iter().enumerate() {
         let extension = if arguments.points { "ply" } else { "png" };
-        let path = match arguments.pose {
-            Some(_) => arguments.out.clone(),
-            None => arguments.out.join(format!("{:06}.{extension}", i * arguments.every as usize)),
-        };
+        let path = arguments.file(i, extension);
         views.look(source, &camera, pose, max_depth_m)?;
         if arguments.points {
             let seen = views.points()?;
@@ -183,16 +171,75 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
 }
 
 impl Arguments {
-    /// Writes a picture of the view, with depth its millimetres as well.
-    fn draw(&self, views: &MapViews, scale: &Scale, path: &Path) -> Result<()> {
-        let shading = match self.kind {
+    fn shading(&self) -> Shading {
+        match self.kind {
             Kind::Grey => Shading::Grey,
             Kind::Colour => Shading::Colour,
             Kind::Normals => Shading::Normals,
             Kind::Depth => Shading::Depth,
             Kind::Confidence => Shading::Confidence,
-        };
-        let picture = views.picture(shading, scale)?;
+        }
+    }
+
+    /// The poses to render from.
+    fn poses(&self, trajectory: &Trajectory) -> Result<Vec<Se3>> {
+        let along = trajectory.poses().iter().step_by(self.every as usize).map(|pose| pose.world_from_camera);
+        let poses: Vec<Se3> = self.pose.map_or_else(|| along.collect(), |pose| vec![pose]);
+        if poses.is_empty() {
+            bail!("there is no pose to render from; give one with --pose");
+        }
+        Ok(poses)
+    }
+
+    /// The file of a pose.
+    fn file(&self, index: usize, extension: &str) -> PathBuf {
+        match self.pose {
+            Some(_) => self.out.clone(),
+            None => self.out.join(format!("{:06}.{extension}", index * self.every as usize)),
+        }
+    }
+
+    fn make_folder(&self) -> Result<()> {
+        if self.pose.is_none() {
+            let shown = self.out.display();
+            fs::create_dir_all(&self.out).with_context(|| format!("cannot make the output folder '{shown}'"))?;
+        }
+        Ok(())
+    }
+
+    /// Renders a map of surfels.
+    fn draw_surfels(&self, mut slam: Slam, given: Option<Intrinsics>, poses: Option<&Trajectory>) -> Result<u8> {
+        let of_voxels = [("--submap", self.submap.is_some()), ("--points", self.points)];
+        if let Some((option, _)) = of_voxels.into_iter().find(|(_, given)| *given) {
+            bail!("{option} is for maps of voxels; 'itm mesh --points' writes the surfels of '{}'", self.map.display());
+        }
+        let camera = self.camera(given.unwrap_or(slam.calibration().depth));
+        let poses = self.poses(poses.unwrap_or(slam.trajectory()))?;
+        let max_depth_m = self.max_depth.unwrap_or(slam.settings().view.max_depth_m);
+        self.make_folder()?;
+        let bar = console::bar(poses.len() as u64, "views", self.quiet);
+        let mut files = Vec::new();
+        for (i, pose) in poses.iter().enumerate() {
+            let path = self.file(i, "png");
+            let picture = slam.render(&camera, pose, max_depth_m, self.shading())?;
+            write(&path, pictures::encode(picture.size(), picture.data().as_flattened()))?;
+            files.push(path);
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        if self.json {
+            console::print_json(&json!({ "files": files, "width": camera.width, "height": camera.height }))?;
+        } else if !self.quiet {
+            let count = if files.len() == 1 { "1 picture".into() } else { format!("{} pictures", files.len()) };
+            let shown = self.out.display();
+            console::print(format_args!("{shown}: {count} of {}x{} pixels", camera.width, camera.height))?;
+        }
+        Ok(0)
+    }
+
+    /// Writes a picture of the view, with depth its millimetres as well.
+    fn draw(&self, views: &MapViews, scale: &Scale, path: &Path) -> Result<()> {
+        let picture = views.picture(self.shading(), scale)?;
         write(path, pictures::encode(picture.size(), picture.data().as_flattened()))?;
         if self.kind == Kind::Depth {
             let name = format!("{}-mm.png", path.file_stem().unwrap_or_default().to_string_lossy());

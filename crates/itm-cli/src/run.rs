@@ -145,6 +145,8 @@ enum ModeArgument {
     Basic,
     /// Submaps that are corrected where the camera comes back to a place
     LoopClosure,
+    /// One map of discs on surfaces
+    Surfels,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -528,6 +530,7 @@ impl Arguments {
         match self.mode {
             Some(ModeArgument::Basic) => settings.mode = Mode::Basic,
             Some(ModeArgument::LoopClosure) => settings.mode = Mode::LoopClosure,
+            Some(ModeArgument::Surfels) => settings.mode = Mode::Surfels,
             None => {}
         }
         Ok(settings)
@@ -620,6 +623,8 @@ struct Log {
     /// When the latest frames were done.
     done: VecDeque<Instant>,
     blocks: u32,
+    /// Surfels, where the map is one of them.
+    surfels: Option<u32>,
 }
 
 /// Frames that the frame rate shown is an average over.
@@ -649,6 +654,7 @@ impl Log {
             unstored: false,
             done: VecDeque::new(),
             blocks: 0,
+            surfels: None,
         })
     }
 
@@ -770,7 +776,7 @@ impl Log {
                     full = true;
                     self.full
                 }
-                Notice::Dropped { .. } => std::mem::replace(&mut self.dropped, true),
+                Notice::Dropped { .. } | Notice::SurfelsDropped { .. } => std::mem::replace(&mut self.dropped, true),
                 Notice::HostStore { .. } => std::mem::replace(&mut self.unstored, true),
             };
             if !known {
@@ -800,6 +806,7 @@ impl Log {
         let rate = (self.done.len() - 1) as f64 / seconds.max(1e-9);
         if let Some(report) = &result.report {
             self.blocks = report.record.blocks.saturating_sub(report.record.free_blocks);
+            self.surfels = report.surfels.map(|record| record.used.saturating_sub(record.free));
         }
         let status = match &result.status {
             FrameStatus::Placed => "placed",
@@ -809,7 +816,11 @@ impl Log {
             FrameStatus::NoPose => "no pose",
             FrameStatus::NoDepth => "no depth",
         };
-        format!("· {rate:.1} frames/s · {status} · {} of {capacity} blocks", self.blocks)
+        let size = match self.surfels {
+            Some(surfels) => format!("{surfels} surfels"),
+            None => format!("{} of {capacity} blocks", self.blocks),
+        };
+        format!("· {rate:.1} frames/s · {status} · {size}")
     }
 }
 

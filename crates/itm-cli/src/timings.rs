@@ -6,7 +6,7 @@ use std::io::{self, Write};
 use itm_slam::{FrameReport, FrameResult, FrameStatus, Timestamp};
 
 /// The stages in the order of the pipeline. `track` is measured on the host, waits included, the others on the device.
-pub(crate) const STAGES: [&str; 13] = [
+pub(crate) const STAGES: [&str; 16] = [
     "view",
     "shrink",
     "track",
@@ -20,6 +20,9 @@ pub(crate) const STAGES: [&str; 13] = [
     "raycast",
     "normals",
     "confidence",
+    "associate",
+    "absorb",
+    "splat",
 ];
 
 /// Its place among them.
@@ -42,6 +45,8 @@ pub(crate) struct Row {
     pub(crate) visible_blocks: Option<u32>,
     /// Blocks in use.
     pub(crate) blocks: Option<u32>,
+    /// Surfels, those that may be removed included.
+    pub(crate) surfels: Option<u32>,
     pub(crate) inliers: Option<u32>,
     pub(crate) inlier_share: Option<f64>,
     pub(crate) rms_mm: Option<f64>,
@@ -87,7 +92,7 @@ impl<W: Write> Timings<W> {
         let stages = STAGES.join(",");
         writeln!(
             writer,
-            "frame,timestamp,status,{stages},total_ms,visible_blocks,blocks,inliers,inlier_share,rms_mm,verdict,\
+            "frame,timestamp,status,{stages},total_ms,visible_blocks,blocks,surfels,inliers,inlier_share,rms_mm,verdict,\
              chance_wrong,information,held,iterations,reasons"
         )?;
         writer.flush()?;
@@ -182,8 +187,13 @@ impl<W: Write> Timings<W> {
                 None => tracing::warn!("the stage '{name}' has no column in the timings"),
             }
         }
-        row.visible_blocks = Some(report.record.visible);
-        row.blocks = Some(report.record.blocks.saturating_sub(report.record.free_blocks));
+        match &report.surfels {
+            Some(record) => row.surfels = Some(record.used.saturating_sub(record.free)),
+            None => {
+                row.visible_blocks = Some(report.record.visible);
+                row.blocks = Some(report.record.blocks.saturating_sub(report.record.free_blocks));
+            }
+        }
     }
 
     fn write_complete(&mut self) -> io::Result<()> {
@@ -211,8 +221,9 @@ impl Row {
         for value in self.stage_ms.into_iter().chain([self.total_ms]) {
             write!(to, ",{}", ms(value))?;
         }
-        let (visible, blocks, inliers) = (cell(self.visible_blocks), cell(self.blocks), cell(self.inliers));
-        write!(to, ",{visible},{blocks},{inliers},{},{}", ms(self.inlier_share), ms(self.rms_mm))?;
+        let (visible, blocks, surfels) = (cell(self.visible_blocks), cell(self.blocks), cell(self.surfels));
+        let inliers = cell(self.inliers);
+        write!(to, ",{visible},{blocks},{surfels},{inliers},{},{}", ms(self.inlier_share), ms(self.rms_mm))?;
         let information = cell(self.information.map(|v| format!("{v:.6}")));
         write!(to, ",{},{},{information},{}", cell(self.verdict), ms(self.chance_wrong), cell(self.held))?;
         let iterations: Vec<String> = self.iterations.iter().map(u32::to_string).collect();
@@ -265,7 +276,13 @@ mod tests {
 
     fn report(index: u64) -> Option<FrameReport> {
         let record = FrameRecord { blocks: 30, free_blocks: 10, visible: 7, ..FrameRecord::default() };
-        Some(FrameReport { index, record, stage_ms: vec![("view", 1.5), ("raycast", 2.0)], notices: Vec::new() })
+        Some(FrameReport {
+            index,
+            record,
+            surfels: None,
+            stage_ms: vec![("view", 1.5), ("raycast", 2.0)],
+            notices: Vec::new(),
+        })
     }
 
     fn lost() -> FrameStatus {
@@ -285,13 +302,13 @@ mod tests {
         assert!(lines(&timings).is_empty());
         timings.frame(&result(7, FrameStatus::Tracked, report(4)), 12.0).unwrap();
         let expected = [
-            "4,2.000000000,placed,1.5000,,,,,,,,,,2.0000,,,10.0000,7,20,,,,,,,,,",
-            "5,,skipped,,,,,,,,,,,,,,,,,,,,,,,,,\"cut off\"",
-            "6,3.000000000,lost,,,,,,,,,,,,,,11.0000,,,,,,lost,,,,,\"too few\"",
+            "4,2.000000000,placed,1.5000,,,,,,,,,,2.0000,,,,,,10.0000,7,20,,,,,,,,,,",
+            "5,,skipped,,,,,,,,,,,,,,,,,,,,,,,,,,,,,\"cut off\"",
+            "6,3.000000000,lost,,,,,,,,,,,,,,,,,11.0000,,,,,,,lost,,,,,\"too few\"",
         ];
         assert_eq!(lines(&timings), expected);
         timings.finish(&[report(7).unwrap()]).unwrap();
-        assert_eq!(lines(&timings)[3], "7,3.500000000,tracked,1.5000,,,,,,,,,,2.0000,,,12.0000,7,20,,,,good,,,,,");
+        assert_eq!(lines(&timings)[3], "7,3.500000000,tracked,1.5000,,,,,,,,,,2.0000,,,,,,12.0000,7,20,,,,,good,,,,,");
         let header = String::from_utf8(timings.writer.clone()).unwrap();
         let columns = header.lines().next().unwrap().split(',').count();
         assert!(lines(&timings).iter().all(|line| line.split(',').count() == columns), "{header}");
@@ -320,7 +337,7 @@ mod tests {
         let result = FrameResult { tracked: Some(tracked), fused: false, ..result(3, status, None) };
         timings.frame(&result, 9.0).unwrap();
         let cells = "poor,0.6250,0.000200,2,5/3/0/2,\"12 %, of 900; the \"\"plane\"\" slides\"";
-        let expected = format!("3,1.500000000,poor,,,0.0000,,,,,,,,,,,9.0000,,,108,0.1200,4.0000,{cells}");
+        let expected = format!("3,1.500000000,poor,,,0.0000,,,,,,,,,,,,,,9.0000,,,,108,0.1200,4.0000,{cells}");
         assert_eq!(lines(&timings), [expected]);
         assert_eq!(timings.rows()[0].trouble(), Some("poor"));
     }

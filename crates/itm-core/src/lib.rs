@@ -22,6 +22,7 @@ mod points;
 pub mod sample;
 mod se3;
 mod settings;
+pub mod surfel;
 mod trajectory;
 pub mod voxel;
 
@@ -38,6 +39,7 @@ pub use settings::{
     BilateralSettings, CompositePolicy, CompositeSettings, DenseSettings, DepthWeight, DeviceSettings,
     ExtendedSettings, FileSettings, ForwardProjectionSettings, IcpSettings, ImuSettings, MapIndex, MapSettings, Mode,
     ObservationWeight, OnFailure, RelocaliserImage, RelocaliserKind, RelocaliserSettings, RgbSettings, Settings,
-    SettingsError, SubmapSettings, Swapping, TrackerKind, TrackerSettings, VerdictSettings, ViewSettings,
+    SettingsError, SubmapSettings, SurfelSettings, Swapping, TrackerKind, TrackerSettings, VerdictSettings,
+    ViewSettings,
 };
 pub use trajectory::{StampedPose, Trajectory};

@@ -7,7 +7,9 @@
 //! A stage has one name everywhere: its shader, its module here, its pipelines' labels, its CPU reference in
 //! [`mod@reference`], its tests and its column in the timings.
 
+pub mod absorb;
 pub mod allocate;
+pub mod associate;
 pub mod changed;
 pub mod confidence;
 mod device;
@@ -30,8 +32,10 @@ pub mod render;
 mod scan;
 mod scratch;
 pub mod shrink;
+pub mod splat;
 mod state;
 mod sums;
+mod surfels;
 pub mod swap;
 pub mod view;
 pub mod visible;
@@ -43,4 +47,5 @@ pub use raycast::RaycastImage;
 pub use recorder::{Recorder, StageTimes};
 pub use state::MapState;
 pub use sums::{DepthSums, PhotometricSums};
+pub use surfels::{SurfelMap, SurfelOptions, SurfelRecord, SurfelRecordReader, SurfelState, SurfelView};
 pub use view::View;

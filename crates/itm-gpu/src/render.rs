@@ -3,12 +3,12 @@
 use std::sync::OnceLock;
 
 use glam::DVec3;
-use itm_core::{ColourImage, Se3};
+use itm_core::{ColourImage, Intrinsics, Se3};
 use itm_shaders::render;
 
 use crate::raycast::page_features;
 use crate::recorder::{Groups, Pipeline};
-use crate::{BlockMap, Device, Error, RaycastImage, Recorder};
+use crate::{BlockMap, Device, Error, RaycastImage, Recorder, SurfelView};
 
 /// What a picture of the map shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,6 +72,24 @@ impl Render {
         }
     }
 
+    /// The same for an image of surfels; see [`crate::splat`].
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn run_surfels(
+        &self,
+        pixels: &SurfelView,
+        image: &RaycastImage,
+        world_from_camera: &Se3,
+        shading: Shading,
+        scale: &Scale,
+    ) -> Result<ColourImage, Error> {
+        if shading != Shading::Colour {
+            return self.shade(image, world_from_camera, shading, scale);
+        }
+        pixels.read_colours(&self.device)
+    }
+
     /// Paints an image that was cast from a pose, with normals, and confidences where those are to be seen; pixels that show
     /// nothing have alpha 0. Waits.
     ///
@@ -85,50 +103,74 @@ impl Render {
         shading: Shading,
         scale: &Scale,
     ) -> Result<ColourImage, Error> {
+        if shading != Shading::Colour {
+            return self.shade(image, world_from_camera, shading, scale);
+        }
         let camera = image.camera();
         let pixels = camera.pixels() as u64;
         let size = [camera.width, camera.height];
         let painted = self.device.storage("picture", pixels * 4);
         let mut recorder = Recorder::new(&self.device);
         recorder.stage("render");
-        let groups = Groups::linear(pixels, 64);
-        if shading == Shading::Colour {
-            if let Some(plane0) = map.colours().first() {
-                let pages = map.colours().len();
-                let pipeline = self.colour[pages - 1]
-                    .get_or_init(|| Pipeline::new(&self.device, &render::colour::PASS, page_features(pages), &[]));
-                let bindings = render::colour::Bindings {
-                    params: render::colour::Params { map: map.params(), size, unused: [0; 2] },
-                    points: &image.points,
-                    image: &painted,
-                    plane0,
-                    plane1: map.colours().get(1),
-                    plane2: map.colours().get(2),
-                    plane3: map.colours().get(3),
-                    grid: &map.grid,
-                };
-                recorder.dispatch(pipeline, &bindings, groups);
-            }
-        } else {
-            let (kind, range) = shading.kind_and_range(scale);
-            let bindings = render::shade::Bindings {
-                params: render::shade::Params {
-                    size,
-                    kind,
-                    unused_a: 0,
-                    camera: world_from_camera.translation.as_vec3().extend(1.0).to_array(),
-                    forward: (world_from_camera.rotation * DVec3::Z).as_vec3().extend(0.0).to_array(),
-                    range,
-                    unused_b: [0; 2],
-                },
+        if let Some(plane0) = map.colours().first() {
+            let pages = map.colours().len();
+            let pipeline = self.colour[pages - 1]
+                .get_or_init(|| Pipeline::new(&self.device, &render::colour::PASS, page_features(pages), &[]));
+            let bindings = render::colour::Bindings {
+                params: render::colour::Params { map: map.params(), size, unused: [0; 2] },
                 points: &image.points,
-                normals: &image.normals,
                 image: &painted,
+                plane0,
+                plane1: map.colours().get(1),
+                plane2: map.colours().get(2),
+                plane3: map.colours().get(3),
+                grid: &map.grid,
             };
-            recorder.dispatch(&self.shade, &bindings, groups);
+            recorder.dispatch(pipeline, &bindings, Groups::linear(pixels, 64));
         }
+        self.read_picture(recorder, camera, &painted)
+    }
+
+    /// Paints an image by its points and normals.
+    fn shade(
+        &self,
+        image: &RaycastImage,
+        world_from_camera: &Se3,
+        shading: Shading,
+        scale: &Scale,
+    ) -> Result<ColourImage, Error> {
+        let camera = image.camera();
+        let pixels = camera.pixels() as u64;
+        let painted = self.device.storage("picture", pixels * 4);
+        let mut recorder = Recorder::new(&self.device);
+        recorder.stage("render");
+        let (kind, range) = shading.kind_and_range(scale);
+        let bindings = render::shade::Bindings {
+            params: render::shade::Params {
+                size: [camera.width, camera.height],
+                kind,
+                unused_a: 0,
+                camera: world_from_camera.translation.as_vec3().extend(1.0).to_array(),
+                forward: (world_from_camera.rotation * DVec3::Z).as_vec3().extend(0.0).to_array(),
+                range,
+                unused_b: [0; 2],
+            },
+            points: &image.points,
+            normals: &image.normals,
+            image: &painted,
+        };
+        recorder.dispatch(&self.shade, &bindings, Groups::linear(pixels, 64));
+        self.read_picture(recorder, camera, &painted)
+    }
+
+    fn read_picture(
+        &self,
+        recorder: Recorder,
+        camera: &Intrinsics,
+        painted: &wgpu::Buffer,
+    ) -> Result<ColourImage, Error> {
         let _untimed = recorder.submit();
-        let values = self.device.read(&painted, 0, pixels * 4)?;
+        let values = self.device.read(painted, 0, camera.pixels() as u64 * 4)?;
         Ok(ColourImage::new(camera.width, camera.height, values).expect("as many values as pixels"))
     }
 }

@@ -17,8 +17,8 @@ pub struct ViewOptions {
     pub bilateral_passes: u32,
     /// Levels of the depth pyramid, the finest included; at least 1.
     pub levels: usize,
-    /// Whether vertex and normal maps are made.
-    pub vertices: bool,
+    /// Whether vertex and normal maps are made, and then between pixels how far to either side normals are taken, at least 1.
+    pub vertices: Option<u32>,
     /// Levels of the colour pyramid, the finest included; at least 1.
     pub colour_levels: usize,
     /// Whether each pixel's depth has a weight for fusion, from 1 to [`itm_core::voxel::BEST_OBSERVATION`], by the
@@ -63,7 +63,7 @@ impl View {
                 .collect(),
             vertices: options
                 .vertices
-                .then(|| (image("vertices", depth_camera, 16), image("view normals", depth_camera, 16))),
+                .map(|_| (image("vertices", depth_camera, 16), image("view normals", depth_camera, 16))),
             observations: options.observation_weights.then(|| image("observations", depth_camera, 8)),
             distorted_colour: None,
             colour: Vec::new(),
@@ -108,6 +108,11 @@ impl View {
     /// Whether the frame has colour.
     pub fn has_colour(&self) -> bool {
         self.has_colour
+    }
+
+    /// Vertices and normals (camera frame), where the view was made with them.
+    pub(crate) fn vertices(&self) -> Option<(&wgpu::Buffer, &wgpu::Buffer)> {
+        self.vertices.as_ref().map(|(vertices, normals)| (vertices, normals))
     }
 
     /// Reads a level of the depth pyramid back (metres, 0 where there is none). Waits. For tests, exports and pictures.
@@ -277,11 +282,11 @@ impl ViewStage {
             };
             recorder.dispatch(&self.halve_depth, &bindings, Groups::image((coarse.width, coarse.height), (64, 1)));
         }
-        if let Some((vertices, normals)) = &view.vertices {
+        if let (Some((vertices, normals)), Some(apart)) = (&view.vertices, options.vertices) {
             let params = view::vertices::Params {
                 camera: camera_params(&camera, options.depth_range_m),
                 reach_m: DEPTH_EDGE_M,
-                unused_a: 0,
+                apart: i32::try_from(apart).unwrap_or(i32::MAX),
                 unused_b: [0; 2],
             };
             let bindings = view::vertices::Bindings { params, depth: view.depth(), vertices, normals };

@@ -48,7 +48,7 @@ fn a_hosts_own_device_runs_the_stages() {
         depth_range_m: [0.2, 3.0],
         bilateral_passes: 0,
         levels: 1,
-        vertices: false,
+        vertices: None,
         observation_weights: false,
         colour_levels: 1,
     };

@@ -18,7 +18,7 @@ const OPTIONS: ViewOptions = ViewOptions {
     depth_range_m: RANGE_M,
     bilateral_passes: 0,
     levels: 5,
-    vertices: true,
+    vertices: Some(1),
     observation_weights: true,
     colour_levels: 4,
 };
@@ -338,7 +338,7 @@ fn check_vertices(
     depth: &Image<f32>,
     camera: &Intrinsics,
 ) -> Result<(), TestCaseError> {
-    let expected = reference::view::vertices(depth, camera, EDGE_M);
+    let expected = reference::view::vertices(depth, camera, EDGE_M, OPTIONS.vertices.unwrap_or(1));
     for (i, expected) in expected.data().iter().enumerate() {
         let [x, y, z, w] = vertices.data()[i].map(f64::from);
         let [nx, ny, nz, nw] = normals.data()[i].map(f64::from);
@@ -373,7 +373,7 @@ fn what_is_no_depth_is_dropped() {
     let calibration = Calibration::registered(camera((7, 1), false), DepthConversion::MILLIMETRES);
     let metres = vec![f32::NAN, f32::INFINITY, -1.0, 0.0, RANGE_M[0], RANGE_M[1], RANGE_M[1].next_up()];
     let frame = common::frame(Image::new(7, 1, metres).unwrap(), None);
-    let options = ViewOptions { levels: 1, vertices: false, colour_levels: 1, ..OPTIONS };
+    let options = ViewOptions { levels: 1, vertices: None, colour_levels: 1, ..OPTIONS };
     let view = run(device, &calibration, &frame, &options);
     let found = view.read_depth(device, 0).unwrap();
     assert_eq!(found.data(), &[0.0, 0.0, 0.0, 0.0, RANGE_M[0], RANGE_M[1], 0.0]);

@@ -96,6 +96,9 @@ pub enum Error {
         /// Its number.
         submap: u16,
     },
+    /// A frame's pose was to be found in a session whose poses are given, which prepares nothing for that.
+    #[error("a session with given poses does not track: it cannot find a frame's pose")]
+    PosesAreGiven,
     /// Nothing is to be fused, and there is no map to track against.
     #[error("map.fuse is off, so that nothing can be mapped, but there is no map to start in (--map)")]
     NothingToTrackAgainst,

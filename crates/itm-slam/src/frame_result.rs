@@ -1,7 +1,7 @@
 //! What became of a frame, and what a user should know of it.
 
 use itm_core::{Se3, Timestamp};
-use itm_gpu::FrameRecord;
+use itm_gpu::{FrameRecord, SurfelRecord};
 
 use crate::happening::Happening;
 use crate::tracking::Tracked;
@@ -47,6 +47,13 @@ pub enum Notice {
         /// Which file, and why not.
         reason: String,
     },
+    /// New surfels found no room, for the map has reached its budget: parts of the scene are missing.
+    SurfelsDropped {
+        /// How many, in one frame.
+        surfels: u32,
+        /// Surfels that the map can hold.
+        capacity: u32,
+    },
     /// New blocks found no room, and none to wait in either: parts of the scene are missing.
     Dropped {
         /// How many, in one frame.
@@ -65,6 +72,10 @@ impl std::fmt::Display for Notice {
             Self::HostStore { reason } => {
                 write!(f, "no more blocks leave the device, because they cannot be stored: {reason}")
             }
+            Self::SurfelsDropped { surfels, capacity } => write!(
+                f,
+                "the map is full at {capacity} surfels: {surfels} new ones were left out (surfels.device_budget_mib)"
+            ),
             Self::Dropped { blocks } => {
                 write!(f, "the map is full: {blocks} new blocks were dropped, with no room to wait in")
             }
@@ -79,6 +90,8 @@ pub struct FrameReport {
     pub index: u64,
     /// The map's counters right after it.
     pub record: FrameRecord,
+    /// The surfels' counters right after it, where the map is one of surfels.
+    pub surfels: Option<SurfelRecord>,
     /// Milliseconds on the device of each stage, in the order of the pipeline; empty where the device has no clock.
     pub stage_ms: Vec<(&'static str, f64)>,
     /// What a user should know of that frame.

@@ -6,20 +6,22 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use glam::{DVec3, IVec3, UVec3};
 use itm_core::voxel::{BEST_OBSERVATION, BLOCK_SIDE, BlockKey, VoxelKind};
-use itm_core::{Calibration, DenseSettings, Intrinsics, MapIndex, ObservationWeight, Se3, Settings, Swapping};
+use itm_core::{Calibration, DenseSettings, Intrinsics, MapIndex, Mode, ObservationWeight, Se3, Settings, Swapping};
 use itm_gpu::changed::Changed;
 use itm_gpu::forward::Forward;
 use itm_gpu::hash::Hash;
 use itm_gpu::integrate::{Integrate, IntegrateOptions};
 use itm_gpu::swap::{AGE_BINS, Arrivals, Gather, Left, PlacesReader, Swap, Transfer};
 use itm_gpu::{
-    BlockMap, Device, FrameRecord, MapLayout, MapState, RaycastImage, RecordReader, Recorder, StageTimes, View,
+    BlockMap, Device, FrameRecord, MapLayout, MapState, RaycastImage, RecordReader, Recorder, StageTimes, SurfelRecord,
+    View,
 };
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::caster::{Caster, NEAR_M};
 use crate::live::LiveMap;
+use crate::surfels::{LateSurfels, Surfels, SurfelsState};
 use crate::swapping::{InMotion, Moved, Swapped, Viewed};
 
 /// A frame's record is consumed at this many frames later, whenever it arrived, so that growth happens at the same frame
@@ -32,6 +34,8 @@ const SWEPT_AT_ONCE: u32 = 4096;
 /// The map and the stages that fill and show it.
 pub(crate) struct Mapper {
     device: Device,
+    /// The map where it is one of surfels: the blocks stay empty then.
+    pub(crate) surfels: Option<Surfels>,
     calibration: Calibration,
     settings: Settings,
     pub(crate) map: BlockMap,
@@ -128,6 +132,8 @@ pub(crate) struct MapperState {
     near: u32,
     arriving: Vec<[u32; 2]>,
     waiting: Vec<WaitingState>,
+    #[serde(default)]
+    pub(crate) surfels: Option<SurfelsState>,
 }
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -164,7 +170,7 @@ impl Waiting {
         for times in self.times.drain(..) {
             stage_ms.extend(times.read(device)?);
         }
-        Ok(Late { frame: self.frame, record, stage_ms })
+        Ok(Late { frame: self.frame, record, stage_ms, surfels: None })
     }
 }
 
@@ -179,6 +185,15 @@ pub(crate) struct Late {
     pub(crate) frame: u64,
     pub(crate) record: FrameRecord,
     pub(crate) stage_ms: Vec<(&'static str, f64)>,
+    /// The surfels' counters, where the map is one of surfels.
+    pub(crate) surfels: Option<SurfelRecord>,
+}
+
+impl From<LateSurfels> for Late {
+    fn from(late: LateSurfels) -> Self {
+        let LateSurfels { frame, record, stage_ms } = late;
+        Self { frame, record: FrameRecord::default(), stage_ms, surfels: Some(record) }
+    }
 }
 
 impl Mapper {
@@ -198,20 +213,22 @@ impl Mapper {
             0 if budget_bytes == 0.0 => map.max_capacity(),
             limit => limit.clamp(1, map.max_capacity()),
         };
-        map.grow(settings.map.initial_blocks.min(limit))?;
-        let dense = settings.map.index == MapIndex::Dense;
+        let of_surfels = settings.mode == Mode::Surfels;
+        map.grow(if of_surfels { 1 } else { settings.map.initial_blocks.min(limit) })?;
+        let dense = settings.map.index == MapIndex::Dense && !of_surfels;
         if dense {
             map.insert_empty(&blocks_of_box(0, &settings.map.dense))?;
         }
-        let swaps = settings.map.swapping != Swapping::Off && !dense;
+        let swaps = settings.map.swapping != Swapping::Off && !dense && !of_surfels;
         let margin_m = if swaps { settings.map.swap_margin_m } else { 0.0 };
         map.check_view(&calibration.depth, settings.view.max_depth_m, settings.map.truncation_m.max(margin_m))?;
         let swapped = swaps.then(|| Swapped::new(device, &map, &settings.map, largest_weight(settings))).transpose()?;
         let map_capacity = map.capacity();
-        let sweeps = settings.map.empty_loss > 0 && !dense;
+        let sweeps = settings.map.empty_loss > 0 && !dense && !of_surfels;
         let sweep = sweeps.then(|| (Swap::new(device), Transfer::new(device, &map, SWEPT_AT_ONCE)));
         Ok(Self {
             device: device.clone(),
+            surfels: of_surfels.then(|| Surfels::new(device, calibration, settings)).transpose()?,
             calibration: *calibration,
             settings: settings.clone(),
             map,
@@ -253,7 +270,9 @@ impl Mapper {
             });
         }
         let swapped = self.swapped.as_ref();
+        let surfels = self.surfels.as_mut().map(Surfels::state).transpose()?;
         Ok(MapperState {
+            surfels,
             capacity: self.map.capacity(),
             demand: self.demand,
             empty: self.empty,
@@ -366,6 +385,9 @@ impl Mapper {
     /// Takes over what an earlier frame's record says. Called once a frame, before anything is allocated.
     pub(crate) fn consume(&mut self) -> Result<Option<Late>, Error> {
         self.frames += 1;
+        if let Some(surfels) = &mut self.surfels {
+            return Ok(surfels.consume(self.frames)?.map(Late::from));
+        }
         let due = self.waiting.front().is_some_and(|w| w.place + RECORD_DELAY <= self.frames);
         let Some(mut waiting) = due.then(|| self.waiting.pop_front()).flatten() else { return Ok(None) };
         let reported = waiting.reported;
@@ -386,6 +408,9 @@ impl Mapper {
     /// What is known at the end of a run of frames that have not been reported yet. They are still taken over at their time,
     /// should the run go on.
     pub(crate) fn report_early(&mut self) -> Result<Vec<Late>, Error> {
+        if let Some(surfels) = &mut self.surfels {
+            return Ok(surfels.report_early()?.into_iter().map(Late::from).collect());
+        }
         let unreported = self.waiting.iter_mut().filter(|waiting| !waiting.reported);
         unreported.map(|waiting| waiting.late(&self.device)).collect()
     }
@@ -450,6 +475,10 @@ impl Mapper {
         mut times: Vec<StageTimes>,
     ) -> Result<bool, Error> {
         let Place { submap, submap_from_camera: world_from_camera, colour_from_depth } = at;
+        if let Some(surfels) = &mut self.surfels {
+            let at = (self.frames, frame);
+            return surfels.fuse(at, view, world_from_camera, colour_from_depth, &model.image, times);
+        }
         self.map.look_at(*submap);
         let camera = self.calibration.depth;
         let [near_m, far_m] = [self.settings.view.min_depth_m, self.settings.view.max_depth_m];
@@ -538,7 +567,7 @@ impl Mapper {
 
     /// Whether nothing was fused yet.
     pub(crate) fn is_empty(&self) -> bool {
-        self.empty
+        self.surfels.as_ref().map_or(self.empty, Surfels::is_empty)
     }
 
     /// Whether blocks may be removed for good.
@@ -750,6 +779,10 @@ impl Mapper {
 
     /// The same for the pose of a frame that is not fused.
     pub(crate) fn follow(&mut self, submap: u16, model: &mut Model, submap_from_camera: &Se3) -> Result<(), Error> {
+        if let Some(surfels) = &self.surfels {
+            surfels.look(&model.image, submap_from_camera);
+            return Ok(());
+        }
         let (camera, world_from_camera) = (*model.image.camera(), submap_from_camera);
         let max_depth_m = self.settings.view.max_depth_m + self.settings.map.truncation_m;
         self.map.look_at(submap);

@@ -7,10 +7,11 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use itm_core::surfel::SURFEL_WORDS;
 use itm_core::voxel::BlockKey;
 use itm_core::{MapIndex, Mode, Se3, Settings, SubmapSettings};
 use itm_gpu::swap::Left;
-use itm_gpu::{Device, HostBlock, MapState};
+use itm_gpu::{Device, HostBlock, MapState, SurfelState};
 use itm_io::map_file::{MapHeader, MapReader, MapWriter, Tag, tag};
 use serde::{Deserialize, Serialize};
 
@@ -38,6 +39,10 @@ const LEFT_CHANGED: Tag = *b"CHLF";
 const BACK: Tag = *b"BACK";
 /// What is known of the submaps, links between them and the frames' poses in them.
 const ATLAS: Tag = *b"ATLS";
+/// Of a map of surfels their slots, the device's counters, and the free slots.
+pub(crate) const SURFELS: Tag = *b"SURF";
+const SURFEL_COUNTERS: Tag = *b"SFCN";
+const FREE_SURFELS: Tag = *b"SFFR";
 /// Keyframes, as the relocaliser writes them.
 const KEYFRAMES: Tag = *b"KEYF";
 
@@ -143,6 +148,32 @@ fn to_words(bytes: &[u8]) -> Vec<u32> {
     bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
 }
 
+/// How many surfels a map file holds; none where it is one of voxels.
+///
+/// # Errors
+/// Where the file cannot be read, or is damaged.
+pub fn count_surfels(reader: &mut MapReader) -> Result<Option<usize>, itm_io::Error> {
+    if !reader.has(SURFELS) {
+        return Ok(None);
+    }
+    let words = to_words(&reader.bytes(SURFELS)?);
+    let (slots, _) = words.as_chunks::<SURFEL_WORDS>();
+    Ok(Some(slots.iter().filter(|words| f32::from_bits(words[3]) > 0.0).count()))
+}
+
+/// The surfels of a file, empty slots included.
+fn read_surfels(reader: &mut MapReader, path: &Path) -> Result<Vec<[u32; SURFEL_WORDS]>, Error> {
+    let slots: Vec<[u32; SURFEL_WORDS]> = to_words(&reader.bytes(SURFELS)?).as_chunks().0.to_vec();
+    let is_sound = |words: &[u32; SURFEL_WORDS]| {
+        let [x, y, z, confidence, _, radius, ..] = words.map(f32::from_bits);
+        [x, y, z, confidence, radius].into_iter().all(f32::is_finite) && confidence >= 0.0 && radius >= 0.0
+    };
+    match slots.iter().position(|words| !is_sound(words)) {
+        None => Ok(slots),
+        Some(place) => Err(unfit(path, SURFELS, format!("surfel {place} has numbers that cannot be"))),
+    }
+}
+
 fn pairs(words: &[u32]) -> Vec<[u32; 2]> {
     words.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect()
 }
@@ -180,6 +211,12 @@ impl Slam {
                 Ok(())
             })
         })?;
+        if let Some(surfels) = &self.mapper.surfels {
+            let SurfelState { capacity: _, counters, free, slots } = surfels.map.read_state()?;
+            writer.bytes(SURFELS, &to_bytes(slots.into_iter().flatten()))?;
+            writer.bytes(SURFEL_COUNTERS, &to_bytes(counters))?;
+            writer.bytes(FREE_SURFELS, &to_bytes(free))?;
+        }
         if let Some(swapped) = &self.mapper.swapped {
             for (section, already_back) in [(tag::HOST_BLOCKS, false), (BACK, true)] {
                 writer.blocks::<Error>(section, |sink| {
@@ -333,6 +370,15 @@ impl Slam {
                 Ok(())
             })?;
         }
+        if let (Some(surfels), Some(state)) = (&mut slam.mapper.surfels, &state.mapper.surfels) {
+            let read = SurfelState {
+                capacity: 0,
+                counters: to_words(&reader.bytes(SURFEL_COUNTERS)?),
+                free: to_words(&reader.bytes(FREE_SURFELS)?),
+                slots: read_surfels(&mut reader, path)?,
+            };
+            surfels.set_state(state, read)?;
+        }
         slam.mapper.set_state(&mut state.mapper, left, kind.block_words());
         let there = slam.mapper.submaps()?;
         if let Some(unknown) = there.iter().find(|submap| !known(**submap)) {
@@ -446,9 +492,14 @@ impl Slam {
             }
             Err(Error::OtherMap { path: path.to_path_buf(), what, map, settings })
         };
-        differs("map.voxel_size_m", header.voxel_size_m.to_string(), layout.voxel_size_m.to_string())?;
-        differs("map.truncation_m", header.truncation_m.to_string(), layout.truncation_m.to_string())?;
-        differs("voxels", format!("{:?}", header.voxel_kind), format!("{:?}", layout.kind))?;
+        let of_map = if reader.has(SURFELS) { "surfels" } else { "voxels" };
+        let of_settings = if slam.mapper.surfels.is_some() { "surfels" } else { "voxels" };
+        differs("a map of", of_map.to_owned(), of_settings.to_owned())?;
+        if slam.mapper.surfels.is_none() {
+            differs("map.voxel_size_m", header.voxel_size_m.to_string(), layout.voxel_size_m.to_string())?;
+            differs("map.truncation_m", header.truncation_m.to_string(), layout.truncation_m.to_string())?;
+            differs("voxels", format!("{:?}", header.voxel_kind), format!("{:?}", layout.kind))?;
+        }
         // What the map shows was observed as often as its weights say.
         slam.primary.age.frames = frames;
         let poses = reader.submaps()?;
@@ -461,7 +512,7 @@ impl Slam {
             };
             if let Some(map) = map {
                 let settings = match settings.mode {
-                    Mode::Basic => "mode = \"basic\"".to_owned(),
+                    Mode::Basic | Mode::Surfels => format!("mode = {:?}", slam.settings.mode.name()),
                     Mode::LoopClosure => "that poses come from files, which are those of one map".to_owned(),
                 };
                 differs("submaps:", map, settings)?;
@@ -485,8 +536,14 @@ impl Slam {
                 slam.tell_left_out(path, section, [LeftOut { what: format!("{outside} blocks are"), reason }]);
             }
         }
+        if let Some(surfels) = &mut slam.mapper.surfels {
+            surfels.take_in(&read_surfels(&mut reader, path)?)?;
+            if surfels.is_empty() {
+                return Err(Error::EmptyMap { path: path.to_path_buf() });
+            }
+        }
         let there = slam.mapper.submaps()?;
-        if there.is_empty() {
+        if there.is_empty() && slam.mapper.surfels.is_none() {
             return Err(Error::EmptyMap { path: path.to_path_buf() });
         }
         if let Some(unknown) = there.iter().find(|submap| usize::from(**submap) >= submaps) {

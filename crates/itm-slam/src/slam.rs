@@ -100,7 +100,7 @@ impl Slam {
             depth_range_m: [settings.view.min_depth_m, settings.view.max_depth_m],
             bilateral_passes: settings.view.bilateral.passes,
             levels: needs.levels,
-            vertices: false,
+            vertices: (settings.mode == Mode::Surfels).then_some(settings.surfels.normal_reach_px),
             observation_weights: settings.map.observation_weight == ObservationWeight::Noise || settings.map.confidence,
             colour_levels: needs.lists.iter().flatten().map(|range| range.end).max().unwrap_or(1),
         };
@@ -254,8 +254,11 @@ impl Slam {
     /// Finds a frame's pose in the map from certain poses, and leaves everything as it is; `None` without a map.
     ///
     /// # Errors
-    /// As [`Slam::process`].
+    /// As [`Slam::process`], and where the session's poses are given.
     pub fn probe(&mut self, frame: &Frame, starts: &[Se3]) -> Result<Option<Tracked>, Error> {
+        if self.poses == Poses::Given {
+            return Err(Error::PosesAreGiven);
+        }
         let _untimed = self.look(frame)?;
         let learnt = self.primary.tracker.learnt();
         let (local, mut eyes) = self.local_and_eyes();
@@ -543,8 +546,12 @@ impl Slam {
     }
 
     fn report(&self, late: Late) -> FrameReport {
-        let Late { frame, record, stage_ms } = late;
+        let Late { frame, record, stage_ms, surfels } = late;
         let mut notices = Vec::new();
+        if let Some(record) = surfels.filter(|record| record.dropped > 0) {
+            let capacity = self.mapper.surfels.as_ref().map_or(0, |surfels| surfels.map.capacity());
+            notices.push(Notice::SurfelsDropped { surfels: record.dropped, capacity });
+        }
         // What waits although there is room gets it as soon as it is seen again.
         if record.pending > 0 && self.mapper.is_full(&record) {
             let capacity = self.mapper.map.capacity();
@@ -558,7 +565,7 @@ impl Slam {
         if record.dropped > 0 {
             notices.push(Notice::Dropped { blocks: record.dropped });
         }
-        FrameReport { index: frame, record, stage_ms, notices }
+        FrameReport { index: frame, record, surfels, stage_ms, notices }
     }
 
     /// The reports that are still due, when no more frames come.
@@ -579,6 +586,9 @@ impl Slam {
         let device = self.device.clone();
         let count = |n: u64| u32::try_from(n).unwrap_or(u32::MAX);
         let mut told = |done, of| progress(count(done), count(of));
+        if self.mapper.surfels.is_some() {
+            return self.mesh_of_surfels(progress);
+        }
         if self.submaps().len() > 1 {
             return self
                 .with_combined(|combined| mesh_in_chunks(&device, combined, &MeshOptions::default(), &mut told));
@@ -627,6 +637,10 @@ impl Slam {
             let mut views = MapViews::new(&device, live.layout(), 0, 1)?;
             views.look(&mut live, camera, world_from_camera, max_depth_m)?;
             return views.picture(shading, &scale);
+        }
+        if let Some(surfels) = &self.mapper.surfels {
+            let (image, pixels) = surfels.cast(camera, world_from_camera, max_depth_m)?;
+            return Ok(self.render.run_surfels(&pixels, &image, world_from_camera, shading, &scale)?);
         }
         let image = self.mapper.cast(camera, world_from_camera, max_depth_m)?;
         Ok(self.render.run(&self.mapper.map, &image, world_from_camera, shading, &scale)?)

@@ -2,6 +2,7 @@
 
 mod relocaliser;
 mod submaps;
+mod surfels;
 mod tracker;
 mod tracker_string;
 
@@ -11,6 +12,7 @@ use thiserror::Error;
 use crate::voxel::{BEST_OBSERVATION, DistanceKind};
 pub use relocaliser::{RelocaliserImage, RelocaliserKind, RelocaliserSettings};
 pub use submaps::SubmapSettings;
+pub use surfels::SurfelSettings;
 pub use tracker::{
     CompositePolicy, CompositeSettings, DepthWeight, ExtendedSettings, FileSettings, ForwardProjectionSettings,
     IcpSettings, ImuSettings, OnFailure, RgbSettings, TrackerKind, TrackerSettings, VerdictSettings,
@@ -37,6 +39,8 @@ pub struct Settings {
     pub relocaliser: RelocaliserSettings,
     /// How a map of submaps is divided and kept consistent.
     pub submaps: SubmapSettings,
+    /// How a map of surfels is made.
+    pub surfels: SurfelSettings,
 }
 
 /// What kind of map is made.
@@ -49,6 +53,8 @@ pub enum Mode {
     /// Many submaps, whose poses are corrected where the camera comes back to a place; see `submaps`. Poses that come from
     /// elsewhere (`--poses given`, `tracker.kind = "file"`) are those of one map, which stays one.
     LoopClosure,
+    /// One map of surfels, discs on surfaces, in place of voxels; see `surfels`.
+    Surfels,
 }
 
 impl Mode {
@@ -57,6 +63,7 @@ impl Mode {
         match self {
             Self::Basic => "basic",
             Self::LoopClosure => "loop-closure",
+            Self::Surfels => "surfels",
         }
     }
 }
@@ -384,7 +391,7 @@ impl Settings {
     /// # Errors
     /// The first value out of range.
     pub fn validate(&self) -> Result<(), SettingsError> {
-        let Self { mode: _, device: _, view, map, tracker, relocaliser, submaps } = self;
+        let Self { mode: _, device: _, view, map, tracker, relocaliser, submaps, surfels } = self;
         check(in_range(view.min_depth_m, 0.0, 1000.0), "view.min_depth_m", "between 0 and 1000", view.min_depth_m)?;
         check(
             in_range(view.max_depth_m, 0.0, 1000.0) && view.max_depth_m > view.min_depth_m,
@@ -433,7 +440,20 @@ impl Settings {
         map.dense.validate()?;
         tracker.validate()?;
         relocaliser.validate()?;
-        submaps.validate()
+        submaps.validate()?;
+        surfels.validate()?;
+        check(
+            self.mode != Mode::Surfels || !tracker.extended.use_map_colour,
+            "tracker.extended.use_map_colour",
+            "false where mode is surfels: colours are compared with those of voxels",
+            tracker.extended.use_map_colour,
+        )?;
+        check(
+            self.mode != Mode::Surfels || !tracker.forward_projection.enabled,
+            "tracker.forward_projection.enabled",
+            "false where mode is surfels: there are no rays to save",
+            tracker.forward_projection.enabled,
+        )
     }
 }
 

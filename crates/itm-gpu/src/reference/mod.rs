@@ -5,7 +5,9 @@
 //! single precision may see it on the other side, functions take a margin: asked once with a positive and once with a
 //! negative one, they bracket what a correct kernel may answer.
 
+pub mod absorb;
 pub mod allocate;
+pub mod associate;
 pub mod changed;
 pub mod forward;
 pub mod hash;
@@ -20,6 +22,7 @@ pub mod ranges;
 pub mod raycast;
 pub mod render;
 pub mod shrink;
+pub mod splat;
 pub mod view;
 pub mod visible;
 

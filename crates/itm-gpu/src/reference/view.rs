@@ -136,8 +136,9 @@ pub struct Vertex {
 }
 
 /// Vertices and normals of a depth image (Newcombe et al. 2011, section 3.2). Normals come from central differences; a
-/// pixel has one where all four neighbours are there and lie within `reach_m` of it in depth.
-pub fn vertices(depth: &Image<f32>, camera: &Intrinsics, reach_m: f32) -> Image<Option<Vertex>> {
+/// pixel has one where all four neighbours are there and lie within `reach_m` of it in depth: those `apart` pixels away or, where
+/// one of them is not, the next ones.
+pub fn vertices(depth: &Image<f32>, camera: &Intrinsics, reach_m: f32, apart: u32) -> Image<Option<Vertex>> {
     let position = |x: u32, y: u32| camera.unproject(DVec2::new(x.into(), y.into()), depth[(x, y)].into());
     Image::from_fn(depth.width(), depth.height(), |x, y| {
         let z = depth[(x, y)];
@@ -147,13 +148,13 @@ pub fn vertices(depth: &Image<f32>, camera: &Intrinsics, reach_m: f32) -> Image<
         let neighbour = |x: u32, y: u32| {
             depth.get(x, y).filter(|other| **other > 0.0 && (*other - z).abs() <= reach_m).map(|_| position(x, y))
         };
-        let normal = || {
-            let along_x = neighbour(x + 1, y)? - neighbour(x.checked_sub(1)?, y)?;
-            let along_y = neighbour(x, y + 1)? - neighbour(x, y.checked_sub(1)?)?;
+        let normal = |apart: u32| {
+            let along_x = neighbour(x + apart, y)? - neighbour(x.checked_sub(apart)?, y)?;
+            let along_y = neighbour(x, y + apart)? - neighbour(x, y.checked_sub(apart)?)?;
             let normal = along_x.cross(along_y).try_normalize()?;
             Some(if normal.dot(position(x, y)) > 0.0 { -normal } else { normal })
         };
-        Some(Vertex { position: position(x, y), normal: normal() })
+        Some(Vertex { position: position(x, y), normal: normal(apart).or_else(|| normal(1)) })
     })
 }
 
@@ -264,7 +265,7 @@ mod tests {
             let ray = camera.unproject(DVec2::new(x.into(), y.into()), 1.0);
             (2.0 * normal.z / normal.dot(ray)) as f32
         });
-        let vertices = vertices(&depth, &camera, 0.5);
+        let vertices = vertices(&depth, &camera, 0.5, 1);
         assert!(vertices[(20, 15)].unwrap().normal.unwrap().abs_diff_eq(normal, 1e-5));
         assert_eq!(vertices[(0, 15)].unwrap().normal, None, "no left neighbour");
     }

@@ -274,7 +274,7 @@ pub(crate) const VIEW_OPTIONS: ViewOptions = ViewOptions {
     depth_range_m: RANGE_M,
     bilateral_passes: 0,
     levels: 3,
-    vertices: false,
+    vertices: None,
     observation_weights: false,
     colour_levels: 3,
 };

@@ -1,0 +1,115 @@
+//! Stage `splat`: surfels as a camera sees them, each as a disc (Keller et al. 2013, *Real-time 3D Reconstruction in Dynamic
+//! Scenes using Point-based Fusion*, section 6).
+
+use itm_shaders::splat;
+
+use crate::map::camera_params;
+use crate::recorder::{Groups, Pipeline};
+use crate::surfels::{LARGEST_PX, List, OVER_LIST, SurfelOptions, SurfelView};
+use crate::{Device, RaycastImage, Recorder, SurfelMap};
+
+/// Which surfels are drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Drawn {
+    /// Those of at least this confidence.
+    pub least: f32,
+    /// Where there are any of at least this one, only those.
+    pub preferred: f32,
+    /// Discs are drawn with so many of their radii.
+    pub reach: f32,
+}
+
+/// The stage's pipelines.
+#[derive(Debug)]
+pub struct Splat {
+    list: List,
+    nearest: Pipeline,
+    choose: Pipeline,
+    draw: Pipeline,
+}
+
+impl Splat {
+    /// Compiles the stage.
+    pub fn new(device: &Device) -> Self {
+        let plain = |pass| Pipeline::plain(device, pass);
+        Self {
+            list: List::new(device),
+            nearest: plain(&splat::nearest::PASS),
+            choose: plain(&splat::choose::PASS),
+            draw: plain(&splat::draw::PASS),
+        }
+    }
+
+    /// Records the image of the surfels from a pose: points, normals, and, in `pixels`, colours.
+    ///
+    /// # Panics
+    /// Where image and `pixels` are not of one size.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        map: &SurfelMap,
+        pixels: &SurfelView,
+        image: &RaycastImage,
+        options: &SurfelOptions<'_>,
+        drawn: Drawn,
+    ) {
+        recorder.stage("splat");
+        let camera = image.camera();
+        assert_eq!(camera.pixels() as u32, pixels.pixels(), "an image of another size");
+        self.list.record(recorder, map, camera, options, Some(drawn.least));
+        let pose = options.world_from_camera;
+        // What the pixels keep of measurements is done with.
+        let nearest = &pixels.best;
+        for buffer in [&pixels.chosen, nearest] {
+            recorder.clear(buffer, buffer.size());
+        }
+        let (room, reach, largest_px) = (map.room(), drawn.reach, LARGEST_PX);
+        let (window_m, preferred) = (options.settings.window_m, drawn.preferred);
+        let params_camera = camera_params(camera, options.depth_range_m);
+        let bindings = splat::nearest::Bindings {
+            params: splat::nearest::Params { camera: params_camera, room, reach, largest_px, preferred },
+            counters: &map.counters,
+            centres: &map.centres,
+            discs: &map.discs,
+            nearest,
+        };
+        recorder.dispatch(&self.nearest, &bindings, OVER_LIST);
+        let bindings = splat::choose::Bindings {
+            params: splat::choose::Params {
+                camera: params_camera,
+                room,
+                reach,
+                largest_px,
+                window_m,
+                preferred,
+                unused: 0,
+            },
+            counters: &map.counters,
+            centres: &map.centres,
+            discs: &map.discs,
+            nearest,
+            listed: &map.listed,
+            chosen: &pixels.chosen,
+        };
+        recorder.dispatch(&self.choose, &bindings, OVER_LIST);
+        for (first, [places, attributes]) in map.each_page() {
+            let bindings = splat::draw::Bindings {
+                params: splat::draw::Params {
+                    camera: params_camera,
+                    camera_from_world: pose.inverse().to_mat4().to_cols_array_2d(),
+                    world_from_camera: pose.to_mat4().to_cols_array_2d(),
+                    first,
+                    page: map.page(),
+                    unused: [0; 2],
+                },
+                chosen: &pixels.chosen,
+                places,
+                attributes,
+                points: &image.points,
+                normals: &image.normals,
+                colours: &pixels.colours,
+            };
+            recorder.dispatch(&self.draw, &bindings, Groups::linear(pixels.pixels().into(), 64));
+        }
+    }
+}

@@ -1,0 +1,725 @@
+//! Stages `associate`, `absorb` and `splat` on the device, against their references and against scenes whose truth is known.
+
+#![allow(clippy::unwrap_used, reason = "this is a test, and its helpers outside of #[test] functions are too")]
+
+mod common;
+
+use std::sync::OnceLock;
+
+use common::{Gpu, RANGE_M, Scene, Shape, VIEW_OPTIONS, to_reference};
+use glam::{DVec2, DVec3};
+use itm_core::surfel::{SURFEL_WORDS, Surfel};
+use itm_core::voxel::ColourVoxel;
+use itm_core::{Calibration, ColourImage, DepthConversion, Image, Intrinsics, Se3, SurfelSettings};
+use itm_gpu::absorb::Absorb;
+use itm_gpu::associate::Associate;
+use itm_gpu::reference::absorb as to_absorb;
+use itm_gpu::reference::associate::{Association, Measured, Role};
+use itm_gpu::reference::splat::Look;
+use itm_gpu::splat::{Drawn, Splat};
+use itm_gpu::view::ViewOptions;
+use itm_gpu::{Device, RaycastImage, Recorder, SurfelMap, SurfelOptions, SurfelRecord, SurfelView, View, reference};
+use proptest::prelude::*;
+
+type Words = [u32; SURFEL_WORDS];
+
+/// Where numbers that decide lie this near to a border (in metres; as cosines), single precision may decide otherwise: places carry a
+/// few roundings of 2.4e-7 m each.
+const MARGIN_M: f64 = 1e-5;
+/// Places are right to so many metres.
+const PLACE_M: f64 = 5e-6;
+/// Normals are kept in 16 bits a coordinate; where the mean of two nearly opposite ones is taken, more is lost.
+const NORMAL: f32 = 3e-4;
+
+/// All surfels alike.
+const ALL: Drawn = Drawn { least: 0.0, preferred: 0.0, reach: 1.0 };
+
+/// The stages, compiled once for a device.
+struct Stages {
+    associate: Associate,
+    absorb: Absorb,
+    splat: Splat,
+}
+
+impl Stages {
+    fn new(device: &Device) -> Self {
+        Self { associate: Associate::new(device), absorb: Absorb::new(device), splat: Splat::new(device) }
+    }
+}
+
+fn gpu() -> Option<(&'static Gpu, &'static Stages)> {
+    static STAGES: OnceLock<Stages> = OnceLock::new();
+    common::gpu().map(|gpu| (gpu, STAGES.get_or_init(|| Stages::new(&gpu.device))))
+}
+
+/// A map and what fills it.
+struct Fusion<'a> {
+    gpu: &'a Gpu,
+    stages: &'a Stages,
+    map: SurfelMap,
+    view: View,
+    pixels: SurfelView,
+    calibration: Calibration,
+    view_options: ViewOptions,
+    settings: SurfelSettings,
+    frame: u32,
+}
+
+impl<'a> Fusion<'a> {
+    fn new((gpu, stages): (&'a Gpu, &'a Stages), calibration: Calibration, capacity: u32) -> Self {
+        let view_options = ViewOptions { vertices: Some(1), ..VIEW_OPTIONS };
+        Self {
+            gpu,
+            stages,
+            map: SurfelMap::new(&gpu.device, capacity).unwrap(),
+            view: View::new(&gpu.device, &calibration, &view_options),
+            pixels: SurfelView::new(&gpu.device, calibration.depth),
+            calibration,
+            view_options,
+            settings: SurfelSettings::default(),
+            frame: 0,
+        }
+    }
+
+    /// Takes a frame over.
+    fn see(&mut self, depth: Image<f32>, colour: Option<ColourImage>) {
+        let mut recorder = Recorder::new(&self.gpu.device);
+        let frame = common::frame(depth, colour);
+        self.gpu.view.record(&mut recorder, &mut self.view, &frame, &self.view_options).unwrap();
+        let _untimed = recorder.submit();
+        self.frame += 1;
+    }
+
+    /// Finds the free slots.
+    fn find_free(&self) {
+        let mut recorder = Recorder::new(&self.gpu.device);
+        self.stages.absorb.record_free(&mut recorder, &self.map, &self.pixels);
+        let _untimed = recorder.submit();
+    }
+
+    fn options<'b>(&'b self, world_from_camera: &'b Se3) -> SurfelOptions<'b> {
+        SurfelOptions { world_from_camera, settings: &self.settings, depth_range_m: RANGE_M, frame: self.frame }
+    }
+
+    /// Fuses what was seen last.
+    fn fuse(&self, pose: &Se3) -> SurfelRecord {
+        let options = self.options(pose);
+        let mut recorder = Recorder::new(&self.gpu.device);
+        let (associate, absorb) = (&self.stages.associate, &self.stages.absorb);
+        associate.record(&mut recorder, &self.map, &self.view, &self.pixels, &self.calibration, &options);
+        absorb.record(&mut recorder, &self.map, &self.view, &self.pixels, &options);
+        let reader = self.map.record_counters(&mut recorder);
+        let _untimed = recorder.submit();
+        reader.read(&self.gpu.device).unwrap()
+    }
+
+    /// Points, normals and colours of the map as seen from a pose.
+    fn splat(&self, camera: Intrinsics, pose: &Se3, drawn: Drawn) -> (Image<[f32; 4]>, Image<[f32; 4]>, ColourImage) {
+        let device = &self.gpu.device;
+        let image = RaycastImage::new(device, camera).unwrap();
+        let pixels = SurfelView::new(device, camera);
+        let mut recorder = Recorder::new(device);
+        self.stages.splat.record(&mut recorder, &self.map, &pixels, &image, &self.options(pose), drawn);
+        let _untimed = recorder.submit();
+        let colours = pixels.read_colours(device).unwrap();
+        (image.read_points(device).unwrap(), image.read_normals(device).unwrap(), colours)
+    }
+
+    fn words(&self) -> Vec<Words> {
+        self.map.read_words().unwrap()
+    }
+
+    fn surfels(&self) -> Vec<Surfel> {
+        self.map.read().unwrap()
+    }
+}
+
+/// Numbers from 0 to 1 that look random.
+struct Noise(u64);
+
+impl Noise {
+    fn next(&mut self) -> f64 {
+        // Steele et al. 2014, Fast Splittable Pseudorandom Number Generators.
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let a = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let b = (a ^ (a >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((b ^ (b >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.next()
+    }
+
+    fn vector(&mut self, size: f64) -> DVec3 {
+        DVec3::new(self.between(-size, size), self.between(-size, size), self.between(-size, size))
+    }
+
+    fn one_of<T: Copy>(&mut self, values: &[T]) -> T {
+        values[(self.next() * values.len() as f64) as usize]
+    }
+}
+
+/// A wall with a ball before it.
+fn scene() -> Scene {
+    Scene(vec![
+        Shape::Plane { normal: DVec3::new(0.3, -0.1, -0.9).normalize(), distance: -1.4 },
+        Shape::Sphere { centre: DVec3::new(0.1, 0.05, 1.0), radius: 0.25 },
+    ])
+}
+
+/// The scene as measured, with holes and millimetres of noise.
+fn noisy(depth: &Image<f32>, noise: &mut Noise) -> Image<f32> {
+    let mut depth = depth.clone();
+    for z in depth.data_mut() {
+        *z = if noise.next() < 0.05 { 0.0 } else { *z + noise.between(-0.002, 0.002) as f32 };
+    }
+    depth
+}
+
+/// Slots near the scene as a camera sees it: several surfels to a pixel, some before, behind or turned, some empty; some as well known as
+/// others.
+fn random_slots(noise: &mut Noise, camera: &Intrinsics, pose: &Se3, count: usize, frame: u32) -> Vec<Words> {
+    let depth = scene().depth(camera, pose);
+    let mut slot = || {
+        let (w, h) = (f64::from(camera.width), f64::from(camera.height));
+        let pixel = DVec2::new(noise.between(-1.5, w + 0.5), noise.between(-1.5, h + 0.5));
+        let nearest = pixel.round().clamp(DVec2::ZERO, DVec2::new(w - 1.0, h - 1.0));
+        let z = f64::from(depth[(nearest.x as u32, nearest.y as u32)]);
+        let off = noise.one_of(&[0.0, 0.0, 0.0, 0.0, 0.01, -0.01, -0.033, -0.1, 0.1]) + noise.between(-0.004, 0.004);
+        let place = pose.transform_point(camera.unproject(pixel, (if z > 0.0 { z } else { 1.5 }) + off));
+        let turned = noise.one_of(&[0.1, 0.1, 0.1, 0.8]);
+        let normal = (scene().normal(place, pose.translation) + noise.vector(turned)).normalize();
+        let colour = std::array::from_fn(|_| (255.0 * noise.next()) as u8);
+        let surfel = Surfel {
+            position: place.as_vec3(),
+            normal: normal.as_vec3(),
+            radius_m: (0.9 * z.max(0.5) / camera.fx * noise.between(0.3, 1.6)) as f32,
+            confidence: noise.one_of(&[0.25, 0.25, 3.5, 12.0, 12.0, noise.0 as f32 * 4e-18 + 0.1]),
+            seen: frame.saturating_sub(noise.between(0.0, 26.0) as u32),
+            colour: (noise.next() < 0.8).then_some(colour),
+        };
+        let mut words = surfel.to_words();
+        if surfel.colour.is_some() {
+            words[7] = ColourVoxel::new(colour, noise.one_of(&[1, 2, 40, 63, 64])).0;
+        }
+        if noise.next() < 0.15 { [0; SURFEL_WORDS] } else { words }
+    };
+    (0..count).map(|_| slot()).collect()
+}
+
+fn parsed(words: &[Words]) -> Vec<Option<Surfel>> {
+    words.iter().map(|words| Surfel::from_words(*words)).collect()
+}
+
+/// Empties slots until no rounding decides what becomes of the others.
+fn settle(words: &mut [Words], measured: &Measured<'_>) -> Association {
+    loop {
+        let slots = parsed(words);
+        let mut unclear: Vec<usize> = (0..slots.len())
+            .filter(|i| slots[*i].is_some_and(|s| reference::associate::role(&s, measured, MARGIN_M).is_none()))
+            .collect();
+        let found = reference::associate::associate(&slots, measured);
+        for (pixel, chosen) in found.chosen.iter().enumerate() {
+            let Some(chosen) = chosen else { continue };
+            let sample = to_absorb::sample(measured, pixel).unwrap();
+            let rival = found.rivals[pixel].and_then(|i| slots[i]);
+            if to_absorb::absorbed(&slots[*chosen].unwrap(), rival.as_ref(), &sample, measured, MARGIN_M).is_none() {
+                unclear.push(*chosen);
+            }
+        }
+        if unclear.is_empty() {
+            return found;
+        }
+        unclear.into_iter().for_each(|i| words[i] = [0; SURFEL_WORDS]);
+    }
+}
+
+fn assert_surfel(found: Words, expected: &Surfel, colour: ColourVoxel, what: &str) -> Result<(), TestCaseError> {
+    let surfel = Surfel::from_words(found);
+    prop_assert!(surfel.is_some(), "{what}: gone");
+    let surfel = surfel.unwrap();
+    let off = surfel.position.as_dvec3().distance(expected.position.as_dvec3());
+    prop_assert!(off < PLACE_M, "{what}: {off} m off");
+    let turned = surfel.normal.distance(expected.normal);
+    prop_assert!(turned < NORMAL, "{what}: {} but {}", surfel.normal, expected.normal);
+    let near = |a: f32, b: f32| (a - b).abs() <= 1e-5 * b;
+    prop_assert!(near(surfel.radius_m, expected.radius_m), "{what}: {surfel:?} but {expected:?}");
+    prop_assert!(near(surfel.confidence, expected.confidence), "{what}: {surfel:?} but {expected:?}");
+    prop_assert_eq!(surfel.seen, expected.seen);
+    let found = ColourVoxel(found[7]);
+    prop_assert_eq!(found.weight(), colour.weight(), "{}", what);
+    let steps = found.rgb().into_iter().zip(colour.rgb()).map(|(a, b)| a.abs_diff(b)).max();
+    prop_assert!(steps <= Some(1), "{what}: {:?} but {:?}", found.rgb(), colour.rgb());
+    Ok(())
+}
+
+fn size() -> impl Strategy<Value = (u32, u32)> {
+    prop_oneof![Just((40, 30)), Just((33, 17)), Just((1, 1)), Just((1, 9)), (2..45u32, 2..35u32)]
+}
+
+fn pose() -> impl Strategy<Value = Se3> {
+    let (t, r) = (-0.2..0.2, -0.3..0.3);
+    [t.clone(), t.clone(), t, r.clone(), r.clone(), r].prop_map(Se3::exp)
+}
+
+fn camera(size: (u32, u32), negative_fy: bool) -> Intrinsics {
+    let camera = common::camera(size.0, size.1);
+    if negative_fy { Intrinsics { fy: -camera.fy, ..camera } } else { camera }
+}
+
+proptest! {
+    #![proptest_config(common::cases(16))]
+
+    #[test]
+    fn measurements_find_move_and_become_surfels_as_in_the_reference(
+        size in size(), pose in pose(), seed: u64, negative_fy: bool, shifted_colour: bool, coloured: bool,
+        frees: bool, reach in 1u32..4, wide: bool,
+    ) {
+        let Some(stages) = gpu() else { return Ok(()) };
+        let camera = camera(size, negative_fy);
+        let calibration = if shifted_colour {
+            Calibration {
+                colour: common::camera(37, 31),
+                colour_from_depth: Se3::exp([0.03, -0.01, 0.005, 0.01, 0.02, -0.03]),
+                ..Calibration::registered(camera, DepthConversion::MILLIMETRES)
+            }
+        } else {
+            common::one_camera(camera)
+        };
+        let mut noise = Noise(seed);
+        let pixels = camera.pixels();
+        let mut fusion = Fusion::new(stages, calibration, 32);
+        fusion.view_options.vertices = Some(reach);
+        fusion.frame = 29;
+        if wide {
+            fusion.settings.reach = 1.6;
+            fusion.settings.merge_m = 0.03;
+            fusion.settings.max_confidence = 20.0;
+            fusion.settings.max_slant_rad = 0.4;
+        }
+        let image = coloured.then(|| common::colours(&calibration.colour));
+        fusion.see(noisy(&scene().depth(&camera, &pose), &mut noise), image.clone());
+        let (vertices, normals) = fusion.view.read_vertices(&fusion.gpu.device).unwrap().unwrap();
+        let (vertices, normals) = (to_reference(&vertices), to_reference(&normals));
+        let settings = fusion.settings.clone();
+        let measured = Measured {
+            camera: &camera,
+            world_from_camera: &pose,
+            depth_range_m: RANGE_M,
+            vertices: &vertices,
+            normals: &normals,
+            settings: &settings,
+            frame: fusion.frame,
+        };
+        let mut before = random_slots(&mut noise, &camera, &pose, pixels * 3 / 2 + 5, fusion.frame);
+        let found = settle(&mut before, &measured);
+        let slots = parsed(&before);
+        fusion.map.grow((before.len() + pixels) as u32).unwrap();
+        fusion.map.write_words(&before).unwrap();
+        let free: Vec<usize> = (0..slots.len()).filter(|i| frees && slots[*i].is_none()).collect();
+        if frees {
+            fusion.find_free();
+        }
+        let record = fusion.fuse(&pose);
+        let after = fusion.words();
+
+        // What becomes of the surfels that there were.
+        let mut expected: Vec<Option<Words>> = before.iter().copied().map(Some).collect();
+        let observed = |pixel: usize, margin_px| {
+            let image = image.as_ref()?;
+            reference::associate::colour_of(vertices.data()[pixel]?, image, &calibration, margin_px)
+        };
+        let (mut updated, mut merged) = (0, 0);
+        for (pixel, chosen) in found.chosen.iter().enumerate() {
+            let Some(chosen) = *chosen else { continue };
+            let sample = to_absorb::sample(&measured, pixel).unwrap();
+            let rival = found.rivals[pixel].and_then(|i| slots[i]);
+            let absorbed =
+                to_absorb::absorbed(&slots[chosen].unwrap(), rival.as_ref(), &sample, &measured, 0.0).unwrap();
+            let fused = |margin_px| {
+                let own = ColourVoxel(before[chosen][7]);
+                observed(pixel, margin_px).map_or(own, |[r, g, b]| {
+                    let colour = DVec3::new(r.into(), g.into(), b.into());
+                    reference::integrate::fuse_colour(own, colour, to_absorb::MOST_COLOURS)
+                })
+            };
+            let what = format!("surfel {chosen} at pixel {pixel}");
+            let may = assert_surfel(after[chosen], &absorbed.surfel, fused(1e-3), &what);
+            assert_surfel(after[chosen], &absorbed.surfel, fused(-1e-3), &what).or(may)?;
+            expected[chosen] = None;
+            updated += 1;
+            if absorbed.merged {
+                expected[found.rivals[pixel].unwrap()].as_mut().unwrap()[..4].fill(0);
+                merged += 1;
+            }
+        }
+        for i in &found.removed {
+            expected[*i].as_mut().unwrap()[..4].fill(0);
+        }
+        let stable = slots.iter().flatten().filter(|s| s.confidence >= settings.stable).count();
+        prop_assert_eq!(
+            [record.updated, record.merged, record.removed, record.stable],
+            [updated, merged, found.removed.len() as u32, stable as u32]
+        );
+
+        // What became a surfel, in the order of the pixels.
+        let mut rank = 0;
+        for pixel in 0..pixels {
+            let becomes = |margin_m| to_absorb::becomes_surfel(&slots, &found, &measured, pixel, margin_m);
+            let Some(sample) = to_absorb::sample(&measured, pixel) else { continue };
+            let slot = to_absorb::slot_of(rank, &free, before.len(), usize::MAX).unwrap();
+            let made = after.get(slot).copied().and_then(Surfel::from_words);
+            let is_here = made.is_some_and(|s| s.position.as_dvec3().distance(sample.point) < PLACE_M);
+            if !becomes(MARGIN_M) || !(becomes(-MARGIN_M) || is_here) {
+                continue;
+            }
+            prop_assert!(slot < after.len(), "pixel {pixel} became no surfel");
+            let made = |margin_px| {
+                let colour = observed(pixel, margin_px);
+                let packed = colour.map_or(ColourVoxel(0), |rgb| ColourVoxel::new(rgb, 1));
+                let surfel = to_absorb::surfel_of(&sample, colour, measured.frame);
+                assert_surfel(after[slot], &surfel, packed, &format!("pixel {pixel}'s new surfel in {slot}"))
+            };
+            made(1e-3).or_else(|_| made(-1e-3))?;
+            if slot < expected.len() {
+                expected[slot] = None;
+            }
+            rank += 1;
+        }
+        prop_assert_eq!((record.new as usize, record.dropped), (rank, 0));
+        prop_assert_eq!(record.free as usize, free.len() - rank.min(free.len()));
+        prop_assert_eq!(after.len(), before.len() + rank.saturating_sub(free.len()));
+        prop_assert_eq!(record.used as usize, after.len());
+        for (i, expected) in expected.iter().enumerate() {
+            if let Some(expected) = expected {
+                prop_assert_eq!(&after[i], expected, "slot {}", i);
+            }
+        }
+        // The cases are worth their name.
+        if pixels > 500 && reach == 1 {
+            prop_assert!(updated > 20 && (wide || rank > 5) && !found.removed.is_empty(), "{:?}", record);
+            let in_front = |i: &usize| {
+                let role = reference::associate::role(&slots[*i].unwrap(), &measured, 0.0);
+                matches!(role, Some(Role::InFront(_)))
+            };
+            prop_assert!(found.removed.iter().any(in_front) && !found.removed.iter().all(in_front));
+        }
+    }
+
+    #[test]
+    fn each_pixel_shows_the_disc_that_the_reference_shows(
+        size in size(), drawn_from in pose(), motion in pose(), seed: u64, negative_fy: bool, near: bool, wide: bool,
+    ) {
+        let Some(stages) = gpu() else { return Ok(()) };
+        let camera = camera(size, negative_fy);
+        let mut noise = Noise(seed);
+        let mut fusion = Fusion::new(stages, common::one_camera(camera), 32);
+        fusion.frame = 29;
+        let mut words = random_slots(&mut noise, &camera, &drawn_from, camera.pixels() * 3 / 2 + 5, 29);
+        for words in &mut words {
+            // Nearly all different, which tells them apart.
+            let scale = if words[3] == 0 { 0.0 } else { noise.between(0.1, 20.0) };
+            words[3] = (scale as f32).to_bits();
+            if wide {
+                words[5] = (f32::from_bits(words[5]) * 4.0).to_bits();
+            }
+        }
+        fusion.map.write_words(&words).unwrap();
+        let pose = if near { drawn_from * Se3::exp([0.0, 0.0, 0.45, 0.0, 0.0, 0.0]) } else { drawn_from * motion };
+        let settings = fusion.settings.clone();
+        let look = Look {
+            camera: &camera,
+            world_from_camera: &pose,
+            depth_range_m: RANGE_M,
+            settings: &settings,
+            drawn: Drawn { least: 2.0, preferred: 8.0, reach: if wide { 1.4 } else { 1.0 } },
+        };
+        let (points, normals, colours) = fusion.splat(camera, &pose, look.drawn);
+        let slots = parsed(&words);
+        let expected = reference::splat::splat(&slots, &look);
+        let mut others = 0;
+        for (at, expected) in expected.data().iter().enumerate() {
+            let (x, y) = (at as u32 % camera.width, at as u32 / camera.width);
+            let pixel = DVec2::new(x.into(), y.into());
+            let (point, normal) = (points.data()[at], normals.data()[at]);
+            let turned = |s: &Surfel| glam::Vec4::from(normal).distance(s.normal.extend(1.0));
+            let is_this =
+                |surfel: &Option<Surfel>| surfel.is_some_and(|s| s.confidence + 1.0 == point[3] && turned(&s) < 1e-5);
+            let found = slots.iter().position(is_this);
+            prop_assert_eq!(found.is_some(), point[3] > 0.0);
+            let meet = |i: usize, margin_m| reference::splat::meet(slots[i].as_ref()?, &look, pixel, margin_m);
+            // Where a disc is seen from the side, its depth magnifies roundings ten times.
+            let (margin_m, rounding_m) = (5e-5, 5e-5);
+            if found != expected.map(|(i, _)| i) {
+                // Another answer is right only where rounding decides.
+                others += 1;
+                let is_preferred = |i: usize| slots[i].is_some_and(|s| s.confidence >= look.drawn.preferred);
+                let class = found.map(is_preferred);
+                let every = |margin_m| (0..slots.len()).filter_map(move |i| Some((i, meet(i, margin_m)?)));
+                let all = |margin_m| every(margin_m).filter(|(i, _)| class.is_none_or(|c| is_preferred(*i) == c));
+                let nearest = |margin_m| all(margin_m).map(|(_, z)| z).fold(f64::INFINITY, f64::min);
+                let better = class == Some(false) && every(-margin_m).any(|(i, _)| is_preferred(i));
+                prop_assert!(!better, "{} shows {:?}, not {:?}", pixel, found, expected);
+                let window_m = f64::from(settings.window_m);
+                match found {
+                    None => prop_assert_eq!(all(-margin_m).count(), 0, "pixel {} shows nothing", pixel),
+                    Some(found) => {
+                        let z = meet(found, margin_m);
+                        prop_assert!(z.is_some(), "{pixel} shows {found}, not {expected:?}");
+                        prop_assert!(z.unwrap() <= nearest(-margin_m) + window_m + rounding_m, "{pixel}: {found} is hidden");
+                        let limit = nearest(margin_m) + window_m - rounding_m;
+                        let earlier = all(-margin_m).find(|(i, z)| *i < found && *z < limit);
+                        prop_assert!(earlier.is_none(), "{pixel} shows {found}, not {earlier:?}");
+                    }
+                }
+            }
+            let Some(found) = found else {
+                prop_assert_eq!((point, normal, colours.data()[at]), ([0.0; 4], [0.0; 4], [0; 4]));
+                continue;
+            };
+            let z = meet(found, margin_m).unwrap();
+            let [x, y, z_world, _] = point.map(f64::from);
+            let off = DVec3::new(x, y, z_world).distance(reference::splat::point_at(&look, pixel, z));
+            prop_assert!(off < rounding_m, "{pixel}: {off} m off");
+            let surfel = slots[found].unwrap();
+            let colour = surfel.colour.map_or([0; 4], |[r, g, b]| [r, g, b, 255]);
+            prop_assert_eq!(colours.data()[at], colour);
+        }
+        prop_assert!(others <= 1 + camera.pixels() / 100, "{others} pixels show something else");
+    }
+}
+
+/// A map of the scene as a camera that moves a little sees it, with slots that became free found now and then.
+fn filled<'a>(stages: (&'a Gpu, &'a Stages), frames: u32) -> Fusion<'a> {
+    let camera = common::camera(40, 30);
+    let mut fusion = Fusion::new(stages, common::one_camera(camera), 4096);
+    let mut noise = Noise(5);
+    for i in 0..frames {
+        let pose = Se3::exp([0.003 * f64::from(i), 0.0, 0.0, 0.0, 0.002 * f64::from(i), 0.0]);
+        let depth = noisy(&scene().depth(&camera, &pose), &mut noise);
+        fusion.see(depth, Some(common::colours(&camera)));
+        if i % 5 == 4 {
+            fusion.find_free();
+        }
+        fusion.fuse(&pose);
+    }
+    fusion
+}
+
+#[test]
+fn a_second_run_leaves_the_same_bytes() {
+    let Some(stages) = gpu() else { return };
+    let (one, two) = (filled(stages, 30), filled(stages, 30));
+    assert!(one.words() == two.words());
+    assert_eq!(one.map.read_record().unwrap(), two.map.read_record().unwrap());
+    let pose = Se3::exp([0.01, 0.0, 0.02, 0.0, 0.1, 0.0]);
+    let camera = common::camera(81, 61);
+    const SOME: Drawn = Drawn { least: 0.5, preferred: 5.0, reach: 1.0 };
+    assert!(one.splat(camera, &pose, SOME) == two.splat(camera, &pose, SOME));
+}
+
+#[test]
+fn free_slots_are_taken_first_and_in_order_and_without_room_the_rest_is_intact() {
+    let Some(stages) = gpu() else { return };
+    let camera = common::camera(20, 15);
+    let mut fusion = Fusion::new(stages, common::one_camera(camera), 128);
+    // Surfels far out of view, but for every third slot.
+    let kept = |i: u32| Surfel {
+        position: glam::Vec3::new(i as f32, 0.0, -5.0),
+        normal: glam::Vec3::Y,
+        radius_m: 0.01,
+        confidence: 50.0,
+        seen: 1,
+        colour: None,
+    };
+    let before: Vec<Words> =
+        (0..100).map(|i| if i % 3 == 0 { [0; SURFEL_WORDS] } else { kept(i).to_words() }).collect();
+    fusion.map.write_words(&before).unwrap();
+    fusion.find_free();
+    let free: Vec<usize> = (0..100).step_by(3).collect();
+    assert_eq!(fusion.map.read_record().unwrap().free as usize, free.len());
+    assert_eq!(fusion.words(), before);
+
+    // One strip of the image at a time.
+    let depth = scene().depth(&camera, &Se3::IDENTITY);
+    let strip =
+        |rows: std::ops::Range<u32>| Image::from_fn(20, 15, |x, y| if rows.contains(&y) { depth[(x, y)] } else { 0.0 });
+    let mut made: Vec<DVec3> = Vec::new();
+    let (mut used, mut left) = (100, free.len());
+    for (rows, find_again) in [(0..3, false), (4..7, true), (8..15, false)] {
+        fusion.see(strip(rows), None);
+        let (vertices, _) = fusion.view.read_vertices(&fusion.gpu.device).unwrap().unwrap();
+        let record = fusion.fuse(&Se3::IDENTITY);
+        let in_free = (record.new as usize).min(left);
+        left -= in_free;
+        let behind = record.new as usize - in_free;
+        let placed = behind.min(128 - used);
+        used += placed;
+        assert_eq!((record.free as usize, record.used as usize), (left, used), "{record:?}");
+        assert_eq!(record.dropped as usize, behind - placed);
+        assert_eq!((record.removed, record.updated, record.merged), (0, 0, 0));
+        let after = fusion.words();
+        // In the order of pixels: each new surfel lies behind those before it in its strip.
+        let slots: Vec<usize> = (made.len()..)
+            .take(in_free + placed)
+            .map(|rank| to_absorb::slot_of(rank, &free, 100, 128).unwrap())
+            .collect();
+        let places: Vec<DVec3> =
+            slots.iter().map(|i| Surfel::from_words(after[*i]).expect("a new surfel").position.as_dvec3()).collect();
+        let vertices = to_reference(&vertices);
+        let pixel = |p: &DVec3| vertices.data().iter().position(|v| v.is_some_and(|v| v.distance(*p) < PLACE_M));
+        let of_pixels: Vec<usize> = places.iter().map(|p| pixel(p).expect("a measurement")).collect();
+        assert!(of_pixels.is_sorted_by(|a, b| a < b), "{of_pixels:?}");
+        made.extend(places);
+        for (i, (before, after)) in before.iter().zip(&after).enumerate() {
+            assert!(i % 3 == 0 || before == after, "slot {i}");
+        }
+        if find_again {
+            // Those that were taken are not found again.
+            fusion.find_free();
+            assert_eq!(fusion.map.read_record().unwrap().free as usize, left);
+        }
+    }
+    let record = fusion.map.read_record().unwrap();
+    assert!(record.dropped > 20 && record.used == 128 && left == 0, "{record:?}");
+    // All that found room are still there.
+    let surfels = fusion.surfels();
+    assert_eq!(surfels.len(), 128);
+    assert!(made.iter().all(|p| surfels.iter().any(|s| s.position.as_dvec3().distance(*p) < PLACE_M)));
+    // With room, the rest is made up for.
+    fusion.map.grow(1000).unwrap();
+    let dropped = record.dropped;
+    fusion.fuse(&Se3::IDENTITY);
+    let record = fusion.map.read_record().unwrap();
+    assert!(record.new <= dropped && record.dropped == 0 && record.used == 128 + record.new, "{record:?}");
+}
+
+#[test]
+fn a_map_keeps_everything_as_it_grows() {
+    let Some(stages) = gpu() else { return };
+    let mut fusion = filled(stages, 12);
+    let (before, record) = (fusion.words(), fusion.map.read_record().unwrap());
+    let capacity = fusion.map.capacity();
+    fusion.map.grow(3 * capacity).unwrap();
+    assert_eq!(fusion.map.capacity(), 3 * capacity);
+    assert!(fusion.words() == before);
+    assert_eq!(fusion.map.read_record().unwrap(), record);
+    // It goes on as one that had the room from the start.
+    let mut other = filled(stages, 12);
+    let depth = scene().depth(&common::camera(40, 30), &Se3::IDENTITY);
+    for fusion in [&mut fusion, &mut other] {
+        fusion.see(depth.clone(), None);
+        fusion.fuse(&Se3::IDENTITY);
+    }
+    assert!(fusion.words() == other.words());
+    fusion.map.grow(1).unwrap();
+    assert_eq!(fusion.map.capacity(), 3 * capacity, "it does not shrink");
+}
+
+#[test]
+fn pages_make_no_difference() {
+    let Some(stages) = gpu() else { return };
+    let device = common::device_with_bindings_of(16 << 20);
+    let (paged, paged_stages) = (Gpu::new(&device), Stages::new(&device));
+    // So many surfels lie in a page.
+    let page = 1 << 20;
+    let camera = common::camera(40, 30);
+    // The first page holds what is out of view, and some empty slots, but for its last ones.
+    let far = Surfel {
+        position: glam::Vec3::new(0.0, 0.0, -50.0),
+        normal: glam::Vec3::Y,
+        radius_m: 0.01,
+        confidence: 50.0,
+        seen: 1,
+        colour: None,
+    };
+    let words = far.to_words();
+    let filled: Vec<Words> = (0..page - 600).map(|i| if i % 4099 == 7 { [0; SURFEL_WORDS] } else { words }).collect();
+    let run = |stages| {
+        let mut fusion = Fusion::new(stages, common::one_camera(camera), 32);
+        let mut noise = Noise(11);
+        fusion.map.write_words(&filled).unwrap();
+        fusion.settings.patience = 2;
+        for i in 0..8 {
+            match i {
+                2 => fusion.map.grow(page + 300).unwrap(),
+                3 => fusion.map.grow(page + 8000).unwrap(),
+                5 => fusion.find_free(),
+                _ => {}
+            }
+            let pose = Se3::exp([0.0, 0.0, 0.0, 0.0, 0.1 * f64::from(i), 0.0]);
+            fusion.see(noisy(&scene().depth(&camera, &pose), &mut noise), Some(common::colours(&camera)));
+            fusion.fuse(&pose);
+        }
+        let record = fusion.map.read_record().unwrap();
+        fusion.find_free();
+        let look = fusion.splat(camera, &Se3::exp([0.0, 0.0, 0.0, 0.0, 0.6, 0.0]), ALL);
+        (record, fusion.map.read_record().unwrap().free, fusion.words(), look)
+    };
+    let (one, many) = (run(stages), run((&paged, &paged_stages)));
+    assert_eq!((one.0, one.1), (many.0, many.1));
+    assert!(one.2 == many.2, "other surfels");
+    assert!(one.3 == many.3, "another image");
+    assert!(one.0.used > page + 300 && one.0.removed > 0 && one.1 > 0, "{:?}, {} free", one.0, one.1);
+    assert!(one.3.0.data().iter().filter(|point| point[3] > 0.0).count() > 300);
+}
+
+#[test]
+fn a_plane_stays_a_plane_of_as_many_surfels_as_pixels() {
+    let Some(stages) = gpu() else { return };
+    let camera = common::camera(64, 48);
+    let plane = Scene(vec![Shape::Plane { normal: DVec3::new(0.3, -0.2, -0.93).normalize(), distance: -1.2 }]);
+    for moving in [0.0, 1.0] {
+        let mut fusion = Fusion::new(stages, common::one_camera(camera), 8192);
+        for i in 0..30 {
+            let t = moving * (f64::from(i) * 0.4).sin();
+            let pose = Se3::exp([0.004 * t, 0.003 * t, -0.005 * t, 0.002 * t, 0.003 * t, 0.004 * t]);
+            fusion.see(plane.depth(&camera, &pose), None);
+            if i % 8 == 7 {
+                fusion.find_free();
+            }
+            fusion.fuse(&pose);
+        }
+        let surfels = fusion.surfels();
+        let pixels = camera.pixels();
+        let share = surfels.len() as f64 / pixels as f64;
+        assert!((0.5..=1.3).contains(&share), "{} surfels of {pixels} pixels", surfels.len());
+        let off: Vec<f64> = surfels.iter().map(|s| plane.distance(s.position.as_dvec3())).collect();
+        assert!(common::quantile(off.clone(), 0.5) < 1e-4 && common::quantile(off, 1.0) < 1e-3);
+        let turned = surfels.iter().map(|s| s.normal.as_dvec3().distance(plane.normal(DVec3::ZERO, DVec3::ZERO)));
+        assert!(turned.fold(0.0, f64::max) < 2e-2);
+        // Seen again, it has no holes.
+        let (points, ..) = fusion.splat(camera, &Se3::IDENTITY, Drawn { least: 5.0, preferred: 5.0, reach: 1.0 });
+        let inner = |i: usize| {
+            let (x, y) = (i as u32 % camera.width, i as u32 / camera.width);
+            (4..camera.width - 4).contains(&x) && (4..camera.height - 4).contains(&y)
+        };
+        let holes = (0..pixels).filter(|i| inner(*i) && points.data()[*i][3] == 0.0).count();
+        assert!(holes < pixels / 100, "{holes} of {pixels} pixels show nothing");
+        for point in to_reference(&points).data().iter().flatten() {
+            assert!(plane.distance(*point) < 2e-3, "{point}");
+        }
+    }
+}
+
+#[test]
+fn a_colour_that_stays_is_the_surfels_colour() {
+    let Some(stages) = gpu() else { return };
+    let camera = common::camera(33, 17);
+    for with_fy in [camera, Intrinsics { fy: -camera.fy, ..camera }, common::camera(9, 8)] {
+        let mut fusion = Fusion::new(stages, common::one_camera(with_fy), 4096);
+        let image = ColourImage::filled(with_fy.width, with_fy.height, [10, 200, 255, 255]);
+        for i in 0..10 {
+            let pose = Se3::exp([0.0, 0.0, 0.0, 0.0, 0.01 * f64::from(i % 2), 0.0]);
+            fusion.see(scene().depth(&with_fy, &pose), Some(image.clone()));
+            fusion.fuse(&pose);
+        }
+        let surfels = fusion.surfels();
+        assert!(!surfels.is_empty());
+        assert!(surfels.iter().all(|s| s.colour == Some([10, 200, 255])), "{surfels:?}");
+        let (points, _, colours) = fusion.splat(with_fy, &Se3::IDENTITY, ALL);
+        for (point, colour) in points.data().iter().zip(colours.data()) {
+            assert_eq!(*colour, if point[3] > 0.0 { [10, 200, 255, 255] } else { [0; 4] });
+        }
+    }
+}

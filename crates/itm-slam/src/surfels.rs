@@ -1,0 +1,377 @@
+//! A map of surfels: when it grows, and which stages a frame takes.
+
+use std::collections::VecDeque;
+
+use glam::DVec3;
+use itm_core::surfel::{SURFEL_WORDS, Surfel};
+use itm_core::{
+    Calibration, DepthConversion, DepthImage, Frame, Image, Intrinsics, Mesh, Mode, RelocaliserKind, Se3, Settings,
+    Timestamp,
+};
+use itm_gpu::absorb::Absorb;
+use itm_gpu::associate::Associate;
+use itm_gpu::splat::{Drawn, Splat};
+use itm_gpu::{
+    Device, RaycastImage, Recorder, StageTimes, SurfelMap, SurfelOptions, SurfelRecord, SurfelRecordReader,
+    SurfelState, SurfelView, View,
+};
+
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+use crate::caster::NEAR_M;
+use crate::slam::{Poses, Slam};
+
+/// A frame's record is consumed at this many frames later, whenever it arrived, so that growth happens at the same frame in
+/// every run.
+const RECORD_DELAY: u64 = 2;
+/// So often, in frames, free slots are looked for.
+const FREE_EVERY: u32 = 8;
+
+/// The map and the stages that fill and show it.
+#[derive(Debug)]
+pub(crate) struct Surfels {
+    device: Device,
+    calibration: Calibration,
+    settings: Settings,
+    pub(crate) map: SurfelMap,
+    pixels: SurfelView,
+    associate: Associate,
+    absorb: Absorb,
+    splat: Splat,
+    waiting: VecDeque<Waiting>,
+    /// Surfels that one frame asked for lately; decays.
+    demand: u32,
+    /// Frames fused so far.
+    fused: u32,
+    /// Surfels that the map may grow to.
+    limit: u32,
+}
+
+#[derive(Debug)]
+struct Waiting {
+    /// The frame's place among those that came.
+    place: u64,
+    /// The frame's own index.
+    frame: u64,
+    found: Found,
+    times: Vec<StageTimes>,
+    /// Whether it has been told already what became of the frame.
+    reported: bool,
+}
+
+/// What a frame left behind on the device: to be read, or read, but not taken over yet.
+#[derive(Debug)]
+enum Found {
+    OnDevice(SurfelRecordReader),
+    Read(SurfelRecord),
+}
+
+/// A [`Surfels`]' state as it is saved, beside the surfels.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct SurfelsState {
+    capacity: u32,
+    demand: u32,
+    fused: u32,
+    waiting: Vec<WaitingState>,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+struct WaitingState {
+    place: u64,
+    frame: u64,
+    record: [u32; 9],
+}
+
+/// What became known of a frame some frames later.
+pub(crate) struct LateSurfels {
+    pub(crate) frame: u64,
+    pub(crate) record: SurfelRecord,
+    pub(crate) stage_ms: Vec<(&'static str, f64)>,
+}
+
+impl Waiting {
+    fn read(&mut self, device: &Device) -> Result<SurfelRecord, Error> {
+        let record = match std::mem::replace(&mut self.found, Found::Read(SurfelRecord::default())) {
+            Found::OnDevice(reader) => reader.read(device)?,
+            Found::Read(record) => record,
+        };
+        self.found = Found::Read(record);
+        Ok(record)
+    }
+
+    /// What became known of the frame, told once.
+    fn late(&mut self, device: &Device) -> Result<LateSurfels, Error> {
+        self.reported = true;
+        let record = self.read(device)?;
+        let mut stage_ms = Vec::new();
+        for times in self.times.drain(..) {
+            stage_ms.extend(times.read(device)?);
+        }
+        Ok(LateSurfels { frame: self.frame, record, stage_ms })
+    }
+}
+
+impl Surfels {
+    pub(crate) fn new(device: &Device, calibration: &Calibration, settings: &Settings) -> Result<Self, Error> {
+        let own = &settings.surfels;
+        let map = SurfelMap::new(device, 1)?;
+        let budget_bytes = own.device_budget_mib * f64::from(1 << 20);
+        let limit = match (budget_bytes / SurfelMap::bytes_per_surfel() as f64) as u32 {
+            0 if budget_bytes == 0.0 => map.max_capacity(),
+            limit => limit.clamp(1, map.max_capacity()),
+        };
+        let mut surfels = Self {
+            device: device.clone(),
+            calibration: *calibration,
+            settings: settings.clone(),
+            map,
+            pixels: SurfelView::new(device, calibration.depth),
+            associate: Associate::new(device),
+            absorb: Absorb::new(device),
+            splat: Splat::new(device),
+            waiting: VecDeque::new(),
+            demand: 0,
+            fused: 0,
+            limit,
+        };
+        surfels.map.grow(own.initial.min(limit))?;
+        Ok(surfels)
+    }
+
+    /// Whether nothing was fused yet.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.fused == 0
+    }
+
+    /// Takes over what an earlier frame's record says. Called once a frame, with the frame's place among those that came.
+    pub(crate) fn consume(&mut self, place: u64) -> Result<Option<LateSurfels>, Error> {
+        let due = self.waiting.front().is_some_and(|waiting| waiting.place + RECORD_DELAY <= place);
+        let Some(mut waiting) = due.then(|| self.waiting.pop_front()).flatten() else { return Ok(None) };
+        let reported = waiting.reported;
+        let late = waiting.late(&self.device)?;
+        self.demand = late.record.new.max(self.demand - self.demand / 8);
+        // Of the frames since, of this one and of the next, with as much again to spare.
+        let spare = self.demand.saturating_mul(2 * (RECORD_DELAY as u32 + 1));
+        self.make_room(late.record.used.saturating_sub(late.record.free).saturating_add(spare))?;
+        Ok((!reported).then_some(late))
+    }
+
+    /// What is known at the end of a run of frames that have not been reported yet. They are still taken over at their time,
+    /// should the run go on.
+    pub(crate) fn report_early(&mut self) -> Result<Vec<LateSurfels>, Error> {
+        let unreported = self.waiting.iter_mut().filter(|waiting| !waiting.reported);
+        unreported.map(|waiting| waiting.late(&self.device)).collect()
+    }
+
+    /// What the next frames depend on beside the surfels; reads what is on its way.
+    pub(crate) fn state(&mut self) -> Result<SurfelsState, Error> {
+        let mut waiting = Vec::new();
+        for frame in &mut self.waiting {
+            let record = frame.read(&self.device)?.to_words();
+            waiting.push(WaitingState { place: frame.place, frame: frame.frame, record });
+        }
+        Ok(SurfelsState { capacity: self.map.capacity(), demand: self.demand, fused: self.fused, waiting })
+    }
+
+    /// Takes over what [`Surfels::state`] gave, and the surfels themselves.
+    pub(crate) fn set_state(&mut self, state: &SurfelsState, surfels: SurfelState) -> Result<(), Error> {
+        self.map.write_state(&SurfelState { capacity: state.capacity, ..surfels })?;
+        (self.demand, self.fused) = (state.demand, state.fused);
+        let waiting = state.waiting.iter().map(|frame| Waiting {
+            place: frame.place,
+            frame: frame.frame,
+            found: Found::Read(SurfelRecord::from_words(frame.record)),
+            times: Vec::new(),
+            // By the session that was saved.
+            reported: true,
+        });
+        self.waiting = waiting.collect();
+        Ok(())
+    }
+
+    /// Takes in a map's surfels, for a session that starts in it.
+    pub(crate) fn take_in(&mut self, slots: &[[u32; SURFEL_WORDS]]) -> Result<(), Error> {
+        self.map.write_words(slots)?;
+        // Their times go on.
+        self.fused = slots.iter().filter_map(|words| Surfel::from_words(*words)).map(|s| s.seen).max().unwrap_or(0);
+        Ok(())
+    }
+
+    /// Grows the map so that it has room for so many, as far as limits allow.
+    fn make_room(&mut self, needed: u32) -> Result<(), Error> {
+        let capacity = self.map.capacity();
+        if needed <= capacity || capacity >= self.limit {
+            return Ok(());
+        }
+        let wanted = needed.max(capacity + capacity / 4).min(self.limit);
+        tracing::debug!(from = capacity, to = wanted, "the map of surfels grows");
+        match self.map.grow(wanted) {
+            Err(itm_gpu::Error::OutOfMemory { reason }) => {
+                // The map goes on as large as it is; frames say what finds no room.
+                tracing::warn!(capacity, reason, "the map cannot grow: the device has no memory left");
+                self.limit = capacity;
+                Ok(())
+            }
+            grown => Ok(grown?),
+        }
+    }
+
+    fn options<'a>(settings: &'a Settings, frame: u32, world_from_camera: &'a Se3) -> SurfelOptions<'a> {
+        let far_m = settings.view.max_depth_m * 1.05;
+        SurfelOptions { settings: &settings.surfels, depth_range_m: [NEAR_M, far_m], frame, world_from_camera }
+    }
+
+    /// Which surfels are tracked against: those that are known well enough, and others where there are none of those, as where a fast
+    /// camera has just got to.
+    fn tracked(&self) -> Drawn {
+        let own = &self.settings.surfels;
+        Drawn { least: 0.0, preferred: if self.fused <= own.all_for { 0.0 } else { own.track_from }, reach: own.reach }
+    }
+
+    /// Fuses a view, and draws what the camera sees into `image` for the next frame's tracking. Returns whether there is a map:
+    /// a view without depth cannot begin one.
+    pub(crate) fn fuse(
+        &mut self,
+        at: (u64, u64),
+        view: &View,
+        world_from_camera: &Se3,
+        colour_from_depth: &Se3,
+        image: &RaycastImage,
+        mut times: Vec<StageTimes>,
+    ) -> Result<bool, Error> {
+        if self.fused == 0 {
+            let measured = view.read_depth(&self.device, 0)?.data().iter().filter(|z| **z > 0.0).count() as u32;
+            if measured == 0 {
+                return Ok(false);
+            }
+            // Most of them become surfels, and the next frames want some room too.
+            self.make_room(measured.saturating_mul(2))?;
+        }
+        self.fused += 1;
+        let mut recorder = Recorder::timed(&self.device);
+        let options = Self::options(&self.settings, self.fused, world_from_camera);
+        let calibration = Calibration { colour_from_depth: *colour_from_depth, ..self.calibration };
+        self.associate.record(&mut recorder, &self.map, view, &self.pixels, &calibration, &options);
+        self.absorb.record(&mut recorder, &self.map, view, &self.pixels, &options);
+        if self.fused.is_multiple_of(FREE_EVERY) {
+            self.absorb.record_free(&mut recorder, &self.map, &self.pixels);
+        }
+        let tracked = self.tracked();
+        self.splat.record(&mut recorder, &self.map, &self.pixels, image, &options, tracked);
+        let found = Found::OnDevice(self.map.record_counters(&mut recorder));
+        times.push(recorder.submit());
+        let (place, frame) = at;
+        self.waiting.push_back(Waiting { place, frame, found, times, reported: false });
+        Ok(true)
+    }
+
+    /// Draws what the camera sees from a pose, for tracking.
+    pub(crate) fn look(&self, image: &RaycastImage, world_from_camera: &Se3) {
+        let mut recorder = Recorder::new(&self.device);
+        let options = Self::options(&self.settings, self.fused, world_from_camera);
+        if image.camera() == &self.calibration.depth {
+            self.splat.record(&mut recorder, &self.map, &self.pixels, image, &options, self.tracked());
+        } else {
+            let pixels = SurfelView::new(&self.device, *image.camera());
+            self.splat.record(&mut recorder, &self.map, &pixels, image, &options, self.tracked());
+        }
+        let _untimed = recorder.submit();
+    }
+
+    /// What a camera sees of the stable surfels from a pose, up to a depth in metres (of all, while the map is young), with what its
+    /// pixels know of colours.
+    pub(crate) fn cast(
+        &self,
+        camera: &Intrinsics,
+        world_from_camera: &Se3,
+        max_depth_m: f32,
+    ) -> Result<(RaycastImage, SurfelView), Error> {
+        let image = RaycastImage::new(&self.device, *camera)?;
+        let pixels = SurfelView::new(&self.device, *camera);
+        let mut recorder = Recorder::new(&self.device);
+        let seen = Self::options(&self.settings, self.fused, world_from_camera);
+        let options = SurfelOptions { depth_range_m: [NEAR_M, max_depth_m], ..seen };
+        let least = self.least_shown();
+        self.splat.record(
+            &mut recorder,
+            &self.map,
+            &pixels,
+            &image,
+            &options,
+            Drawn { least, preferred: least, reach: self.settings.surfels.overlap },
+        );
+        let _untimed = recorder.submit();
+        Ok((image, pixels))
+    }
+
+    /// Confidence from which on surfels are shown and exported.
+    fn least_shown(&self) -> f32 {
+        if self.fused <= self.settings.surfels.all_for { 0.0 } else { self.settings.surfels.stable }
+    }
+
+    /// The stable surfels (all, while the map is young). Waits.
+    pub(crate) fn stable(&self) -> Result<Vec<Surfel>, Error> {
+        let least = self.least_shown();
+        Ok(self.map.read()?.into_iter().filter(|surfel| surfel.confidence >= least).collect())
+    }
+}
+
+/// Views of the map for a mesh: another one each so many metres, or radians, along the trajectory.
+const VIEW_EVERY_M: f64 = 0.15;
+const VIEW_EVERY_RAD: f64 = 0.2;
+
+impl Slam {
+    /// The stable surfels (all, while the map is young), as points: world frame, metres; weights are confidences. Waits. None
+    /// where the map is one of voxels.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn surfels(&self) -> Result<Vec<Surfel>, Error> {
+        self.mapper.surfels.as_ref().map_or_else(|| Ok(Vec::new()), Surfels::stable)
+    }
+
+    /// A mesh of the surfels: what the camera would see of them along its way, fused into voxels of `map.voxel_size_m`.
+    pub(crate) fn mesh_of_surfels(&mut self, progress: &mut dyn FnMut(u32, u32)) -> Result<Mesh, Error> {
+        let Some(surfels) = &self.mapper.surfels else { return Ok(Mesh::default()) };
+        let mut settings = Settings { mode: Mode::Basic, ..self.settings.clone() };
+        settings.relocaliser.kind = RelocaliserKind::Off;
+        settings.view.bilateral.passes = 0;
+        settings.view.colour = true;
+        (settings.map.fuse, settings.map.track_changes) = (true, false);
+        let camera = self.calibration.depth;
+        let calibration = Calibration::registered(camera, DepthConversion::MILLIMETRES);
+        let mut fusion = Slam::new(&self.device, &calibration, &settings, Poses::Given)?;
+        let mut views: Vec<Se3> = Vec::new();
+        for pose in self.trajectory.poses() {
+            let pose = pose.world_from_camera;
+            let far = views.last().is_none_or(|last| {
+                let off = last.inverse() * pose;
+                off.translation.length() > VIEW_EVERY_M || off.angle() > VIEW_EVERY_RAD
+            });
+            if far {
+                views.push(pose);
+            }
+        }
+        let count = u32::try_from(views.len()).unwrap_or(u32::MAX);
+        for (index, pose) in (0..).zip(views) {
+            progress(index, count);
+            let (image, pixels) = surfels.cast(&camera, &pose, self.settings.view.max_depth_m)?;
+            let camera_from_world = pose.inverse();
+            let depth_at = |[x, y, z, seen]: &[f32; 4]| match *seen {
+                0.0 => 0.0,
+                _ => camera_from_world.transform_point(DVec3::new((*x).into(), (*y).into(), (*z).into())).z as f32,
+            };
+            let points = image.read_points(&self.device)?;
+            let depth = Image::new(camera.width, camera.height, points.data().iter().map(depth_at).collect());
+            let depth = DepthImage::Metres(depth.expect("as many values as pixels"));
+            let timestamp = Timestamp(i64::from(index));
+            let colour = Some(pixels.read_colours(&self.device)?);
+            let mut frame = Frame::new(index.into(), timestamp, depth, colour);
+            frame.world_from_camera = Some(pose);
+            fusion.process(&frame)?;
+        }
+        progress(count, count);
+        fusion.mesh(&mut |_, _| ())
+    }
+}

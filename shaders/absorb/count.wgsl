@@ -1,0 +1,74 @@
+// Which measurements become surfels, and how many of each 32 pixels do: those that no surfel was found for, and that lie on no disc of
+// the surfels of the pixels around. A disc that is much larger than what the pixel would become does not count: the surface is
+// seen more finely now. The pixels' bits lie behind the counts.
+import package::shared::camera::Camera;
+import package::shared::surfel::depth_deviation;
+
+struct Params {
+    camera: Camera,
+    chunks: u32,
+    // Least cosine between ray and normal.
+    least_cosine: f32,
+    window_m: f32,
+    window_deviations: f32,
+    // Discs reach over so many of their radii.
+    reach: f32,
+    // A disc's radius is at most so many times that of the pixel's.
+    finer: f32,
+    // Radius of a pixel's disc at a depth of one metre.
+    radius_per_m: f32,
+    unused: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> vertices: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> normals: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> chosen: array<u32>;
+@group(0) @binding(4) var<storage, read> slots: array<u32>;
+@group(0) @binding(5) var<storage, read> centres: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> discs: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> wanted: array<u32>;
+
+fn is_covered(i: u32, vertex: vec3<f32>) -> bool {
+    let size = params.camera.size;
+    let window = params.window_m + params.window_deviations * depth_deviation(vertex.z);
+    let x = i % size.x;
+    let y = i / size.x;
+    for (var v = max(y, 1u) - 1u; v < min(y + 2u, size.y); v++) {
+        for (var u = max(x, 1u) - 1u; u < min(x + 2u, size.x); u++) {
+            let other = v * size.x + u;
+            if chosen[other] == 0u {
+                continue;
+            }
+            let disc = discs[slots[other]];
+            let off = vertex - centres[slots[other]].xyz;
+            let along = dot(off, disc.xyz);
+            let radius = disc.w * params.reach;
+            let is_fine = disc.w <= params.finer * params.radius_per_m * vertex.z;
+            if is_fine && abs(along) <= window && dot(off, off) - along * along <= radius * radius {
+                return true;
+            }
+        }
+    }
+    return false;
+}
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let pixels = params.camera.size.x * params.camera.size.y;
+    for (var chunk = id.x; chunk < params.chunks; chunk += groups.x * 64u) {
+        let first = chunk * 32u;
+        let last = min(first + 32u, pixels);
+        var bits = 0u;
+        for (var i = first; i < last; i++) {
+            let vertex = vertices[i];
+            let normal = normals[i];
+            let faces = -dot(vertex.xyz, normal.xyz) >= params.least_cosine * length(vertex.xyz);
+            if normal.w > 0.0 && faces && chosen[i] == 0u && !is_covered(i, vertex.xyz) {
+                bits |= 1u << (i - first);
+            }
+        }
+        wanted[chunk] = countOneBits(bits);
+        wanted[params.chunks + chunk] = bits;
+    }
+}

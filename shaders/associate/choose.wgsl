@@ -1,0 +1,42 @@
+// Which surfel each pixel's measurement belongs to: of those with the largest confidence the first. A surfel of one page that stands in
+// front of a well-known surface that is seen stands in free space, and is removed (Keller et al. 2013, section 5.3).
+import package::shared::surfel::{SEEN, REMOVED, IN_FRONT};
+
+struct Params {
+    room: u32,
+    first: u32,
+    page: u32,
+    stable: f32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read_write> counters: array<atomic<u32>>;
+@group(0) @binding(2) var<storage, read> listed: array<u32>;
+@group(0) @binding(3) var<storage, read> centres: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> targets: array<u32>;
+@group(0) @binding(5) var<storage, read> best: array<u32>;
+// The complement of the surfel's index; zeroed memory has none.
+@group(0) @binding(6) var<storage, read_write> chosen: array<atomic<u32>>;
+@group(0) @binding(7) var<storage, read_write> places: array<vec4<f32>>;
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let count = min(atomicLoad(&counters[SEEN]), params.room);
+    for (var i = id.x; i < count; i += groups.x * 64u) {
+        let goal = targets[i];
+        let index = listed[i];
+        if goal == 0u || index < params.first || index - params.first >= params.page {
+            continue;
+        }
+        let claim = best[(goal & ~IN_FRONT) - 1u];
+        if (goal & IN_FRONT) == 0u {
+            if claim == bitcast<u32>(centres[i].w) {
+                atomicMax(&chosen[goal - 1u], ~index);
+            }
+        } else if claim >= bitcast<u32>(params.stable) {
+            // Positive floats are in the order of their bits.
+            places[index - params.first] = vec4(0.0);
+            atomicAdd(&counters[REMOVED], 1u);
+        }
+    }
+}
