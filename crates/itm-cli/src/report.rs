@@ -537,6 +537,12 @@ impl Report<'_> {
             );
             rows.push(("surface error", error));
         }
+        if let Some(surfels) = s.surfels {
+            rows.push((
+                "map",
+                format!("{} surfels, {} MiB on the device", grouped(surfels as usize), s.map_bytes >> 20),
+            ));
+        }
         if let Some(blocks) = s.blocks {
             rows.push(("map", format!("{} blocks, {} MiB on the device", grouped(blocks as usize), s.map_bytes >> 20)));
         }

@@ -279,6 +279,8 @@ pub(crate) struct Summary {
     pub(crate) median_stage_ms: BTreeMap<&'static str, f64>,
     /// Blocks in use at the end.
     pub(crate) blocks: Option<u32>,
+    /// Surfels at the end, where the map is one of them.
+    pub(crate) surfels: Option<u32>,
     /// Device memory of the map.
     pub(crate) map_bytes: u64,
     pub(crate) mesh: Option<MeshSummary>,
@@ -443,6 +445,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         median_frame_ms: median_of(&|row| row.total_ms),
         median_stage_ms: STAGES.into_iter().enumerate().filter_map(median_stage).collect(),
         blocks: rows.iter().rev().find_map(|row| row.blocks),
+        surfels: rows.iter().rev().find_map(|row| row.surfels),
         map_bytes: session.slam().map_bytes(),
         mesh: mesh.as_ref().map(|(mesh, seconds)| MeshSummary {
             vertices: mesh.positions.len(),
@@ -839,6 +842,9 @@ impl std::fmt::Display for Summary {
         write!(f, "\ntime: {:.1} s, {:.1} frames/s", self.seconds, self.frames_per_second)?;
         if let Some(ms) = self.median_frame_ms {
             write!(f, ", median {ms:.1} ms a frame on {}", self.device)?;
+        }
+        if let Some(surfels) = self.surfels {
+            write!(f, "\nmap: {surfels} surfels, {} MiB on the device", self.map_bytes >> 20)?;
         }
         if let Some(blocks) = self.blocks {
             write!(f, "\nmap: {blocks} blocks, {} MiB on the device", self.map_bytes >> 20)?;

@@ -163,7 +163,8 @@ impl Slam {
 
     /// Bytes of device memory that the map takes.
     pub fn map_bytes(&self) -> u64 {
-        self.mapper.map.device_bytes()
+        let surfels = self.mapper.surfels.as_ref().map_or(0, |surfels| surfels.map.device_bytes());
+        self.mapper.map.device_bytes() + surfels
     }
 
     /// Blocks of the map that lie in the host's store.
