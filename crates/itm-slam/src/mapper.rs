@@ -196,6 +196,30 @@ impl From<LateSurfels> for Late {
     }
 }
 
+/// Grows a map's pools so that they have room for what is needed, as far as limits allow. Where the device has no memory left the map
+/// goes on as large as it is, which is its limit from then on; frames say what finds no room.
+pub(crate) fn grow_pools(
+    what: &'static str,
+    needed: u32,
+    capacity: u32,
+    limit: &mut u32,
+    grow: impl FnOnce(u32) -> Result<(), itm_gpu::Error>,
+) -> Result<(), Error> {
+    if needed <= capacity || capacity >= *limit {
+        return Ok(());
+    }
+    let wanted = needed.max(capacity + capacity / 4).min(*limit);
+    tracing::debug!(what, from = capacity, to = wanted, "the map's pools grow");
+    match grow(wanted) {
+        Err(itm_gpu::Error::OutOfMemory { reason }) => {
+            tracing::warn!(what, capacity, reason, "the map cannot grow: the device has no memory left");
+            *limit = capacity;
+            Ok(())
+        }
+        grown => Ok(grown?),
+    }
+}
+
 impl Mapper {
     pub(crate) fn new(device: &Device, calibration: &Calibration, settings: &Settings) -> Result<Self, Error> {
         let layout = MapLayout {
@@ -446,22 +470,8 @@ impl Mapper {
 
     /// Grows the pools so that the frames until the next record find room, as far as limits allow.
     fn make_room(&mut self, record: &FrameRecord) -> Result<(), Error> {
-        let needed = self.needed(record);
-        let capacity = self.map.capacity();
-        if needed <= capacity || capacity >= self.limit {
-            return Ok(());
-        }
-        let wanted = needed.max(capacity + capacity / 4).min(self.limit);
-        tracing::debug!(from = capacity, to = wanted, "the block pools grow");
-        match self.map.grow(wanted) {
-            Err(itm_gpu::Error::OutOfMemory { reason }) => {
-                // The map goes on as large as it is; frames say what finds no room.
-                tracing::warn!(capacity, reason, "the map cannot grow: the device has no memory left");
-                self.limit = capacity;
-                Ok(())
-            }
-            grown => Ok(grown?),
-        }
+        let (needed, capacity) = (self.needed(record), self.map.capacity());
+        grow_pools("blocks", needed, capacity, &mut self.limit, |wanted| self.map.grow(wanted))
     }
 
     /// Fuses a view into a submap, and casts that into `model` for the next frame's tracking. `times` are those of the frame's

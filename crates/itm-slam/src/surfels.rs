@@ -20,6 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::caster::NEAR_M;
+use crate::mapper::grow_pools;
 use crate::slam::{Poses, Slam};
 
 /// A frame's record is consumed at this many frames later, whenever it arrived, so that growth happens at the same frame in
@@ -201,20 +202,7 @@ impl Surfels {
     /// Grows the map so that it has room for so many, as far as limits allow.
     fn make_room(&mut self, needed: u32) -> Result<(), Error> {
         let capacity = self.map.capacity();
-        if needed <= capacity || capacity >= self.limit {
-            return Ok(());
-        }
-        let wanted = needed.max(capacity + capacity / 4).min(self.limit);
-        tracing::debug!(from = capacity, to = wanted, "the map of surfels grows");
-        match self.map.grow(wanted) {
-            Err(itm_gpu::Error::OutOfMemory { reason }) => {
-                // The map goes on as large as it is; frames say what finds no room.
-                tracing::warn!(capacity, reason, "the map cannot grow: the device has no memory left");
-                self.limit = capacity;
-                Ok(())
-            }
-            grown => Ok(grown?),
-        }
+        grow_pools("surfels", needed, capacity, &mut self.limit, |wanted| self.map.grow(wanted))
     }
 
     fn options<'a>(settings: &'a Settings, frame: u32, world_from_camera: &'a Se3) -> SurfelOptions<'a> {
