@@ -1,11 +1,14 @@
 // Which measurements become surfels, and how many of each 32 pixels do: those that no surfel was found for, and that lie on no disc of
 // the surfels of the pixels around. A disc that is much larger than what the pixel would become does not count: the surface is
-// seen more finely now. The pixels' bits lie behind the counts.
+// seen more finely now. Each page's surfels take away from what the pages before left. The pixels' bits lie behind the counts.
 import package::shared::camera::Camera;
-import package::shared::surfel::depth_deviation;
+import package::shared::surfel::{Attributes, depth_deviation, unpack_normal};
 
 struct Params {
     camera: Camera,
+    world_from_camera: mat4x4<f32>,
+    first: u32,
+    page: u32,
     chunks: u32,
     // Least cosine between ray and normal.
     least_cosine: f32,
@@ -17,35 +20,39 @@ struct Params {
     finer: f32,
     // Radius of a pixel's disc at a depth of one metre.
     radius_per_m: f32,
-    unused: u32,
+    unused_a: u32,
+    unused_b: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> vertices: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> normals: array<vec4<f32>>;
+// The complements of surfels' indices, or 0.
 @group(0) @binding(3) var<storage, read> chosen: array<u32>;
-@group(0) @binding(4) var<storage, read> slots: array<u32>;
-@group(0) @binding(5) var<storage, read> centres: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read> discs: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read_write> wanted: array<u32>;
+@group(0) @binding(4) var<storage, read> places: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> attributes: array<Attributes>;
+@group(0) @binding(6) var<storage, read_write> wanted: array<u32>;
 
 fn is_covered(i: u32, vertex: vec3<f32>) -> bool {
     let size = params.camera.size;
     let window = params.window_m + params.window_deviations * depth_deviation(vertex.z);
+    let point = (params.world_from_camera * vec4(vertex, 1.0)).xyz;
     let x = i % size.x;
     let y = i / size.x;
     for (var v = max(y, 1u) - 1u; v < min(y + 2u, size.y); v++) {
         for (var u = max(x, 1u) - 1u; u < min(x + 2u, size.x); u++) {
-            let other = v * size.x + u;
-            if chosen[other] == 0u {
+            let other = chosen[v * size.x + u];
+            let at = ~other - params.first;
+            if other == 0u || ~other < params.first || at >= params.page {
                 continue;
             }
-            let disc = discs[slots[other]];
-            let off = vertex - centres[slots[other]].xyz;
-            let along = dot(off, disc.xyz);
-            let radius = disc.w * params.reach;
-            let is_fine = disc.w <= params.finer * params.radius_per_m * vertex.z;
-            if is_fine && abs(along) <= window && dot(off, off) - along * along <= radius * radius {
+            let own = attributes[at];
+            let off = point - places[at].xyz;
+            let along = dot(off, unpack_normal(own.x));
+            let radius = bitcast<f32>(own.y);
+            let is_fine = radius <= params.finer * params.radius_per_m * vertex.z;
+            let reach = radius * params.reach;
+            if is_fine && abs(along) <= window && dot(off, off) - along * along <= reach * reach {
                 return true;
             }
         }
@@ -59,13 +66,18 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     for (var chunk = id.x; chunk < params.chunks; chunk += groups.x * 64u) {
         let first = chunk * 32u;
         let last = min(first + 32u, pixels);
+        var left = 0xffffffffu;
+        if params.first > 0u {
+            left = wanted[params.chunks + chunk];
+        }
         var bits = 0u;
         for (var i = first; i < last; i++) {
             let vertex = vertices[i];
             let normal = normals[i];
+            let bit = 1u << (i - first);
             let faces = -dot(vertex.xyz, normal.xyz) >= params.least_cosine * length(vertex.xyz);
-            if normal.w > 0.0 && faces && chosen[i] == 0u && !is_covered(i, vertex.xyz) {
-                bits |= 1u << (i - first);
+            if (left & bit) != 0u && normal.w > 0.0 && faces && chosen[i] == 0u && !is_covered(i, vertex.xyz) {
+                bits |= bit;
             }
         }
         wanted[chunk] = countOneBits(bits);

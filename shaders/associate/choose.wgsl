@@ -1,6 +1,7 @@
-// Which surfel each pixel's measurement belongs to: of those with the largest confidence the first. A surfel of one page that stands in
-// front of a well-known surface that is seen stands in free space, and is removed (Keller et al. 2013, section 5.3).
-import package::shared::surfel::{SEEN, REMOVED, IN_FRONT};
+// Which surfel of one page each pixel's measurement belongs to, and which of those that competed with it is to be merged with it: the
+// first of several stable ones. What stands in front of a well-known surface that is seen stands in free space, and is removed
+// (Keller et al. 2013, section 5.3).
+import package::shared::surfel::{SEEN, REMOVED, IN_FRONT, place_of, rank_of, rank_of_key};
 
 struct Params {
     room: u32,
@@ -12,11 +13,11 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read_write> counters: array<atomic<u32>>;
 @group(0) @binding(2) var<storage, read> listed: array<u32>;
-@group(0) @binding(3) var<storage, read> centres: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> targets: array<u32>;
-@group(0) @binding(5) var<storage, read> best: array<u32>;
-// The complement of the surfel's index; zeroed memory has none.
-@group(0) @binding(6) var<storage, read_write> chosen: array<atomic<u32>>;
+@group(0) @binding(3) var<storage, read> targets: array<u32>;
+@group(0) @binding(4) var<storage, read> best: array<u32>;
+// The complements of surfels' indices; zeroed memory has none.
+@group(0) @binding(5) var<storage, read_write> chosen: array<u32>;
+@group(0) @binding(6) var<storage, read_write> rivals: array<atomic<u32>>;
 @group(0) @binding(7) var<storage, read_write> places: array<vec4<f32>>;
 
 @compute @workgroup_size(64)
@@ -28,15 +29,16 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         if goal == 0u || index < params.first || index - params.first >= params.page {
             continue;
         }
-        let claim = best[(goal & ~IN_FRONT) - 1u];
-        if (goal & IN_FRONT) == 0u {
-            if claim == bitcast<u32>(centres[i].w) {
-                atomicMax(&chosen[goal - 1u], ~index);
+        let pixel = (goal & ~IN_FRONT) - 1u;
+        if (goal & IN_FRONT) != 0u {
+            if best[pixel] != 0u && rank_of_key(best[pixel]) >= rank_of(params.stable) {
+                places[index - params.first] = vec4(0.0);
+                atomicAdd(&counters[REMOVED], 1u);
             }
-        } else if claim >= bitcast<u32>(params.stable) {
-            // Positive floats are in the order of their bits.
-            places[index - params.first] = vec4(0.0);
-            atomicAdd(&counters[REMOVED], 1u);
+        } else if place_of(best[pixel]) == i {
+            chosen[pixel] = ~index;
+        } else if places[index - params.first].w >= params.stable {
+            atomicMax(&rivals[pixel], ~index);
         }
     }
 }

@@ -23,6 +23,30 @@ const IN_FRONT: u32 = 0x80000000u;
 // Of the complement of a depth's bits, which always has it: it is left to discs that are known well enough, so that they come first.
 const PREFERRED: u32 = 0x80000000u;
 
+// How well a surfel is known, in sixteenths of powers of two, from 1/64 to 1024.
+fn rank_of(confidence: f32) -> u32 {
+    // Positive floats are in the order of their bits.
+    return clamp(bitcast<u32>(confidence) >> 19u, LEAST_RANK, LEAST_RANK + 255u) - LEAST_RANK;
+}
+
+// A surfel of a list by its rank and by its place there: the largest key is that of the best known, and of several alike of the
+// first. Never 0.
+fn key_of(confidence: f32, place: u32) -> u32 {
+    return (rank_of(confidence) << 24u) | (LAST_PLACE - place);
+}
+
+fn rank_of_key(key: u32) -> u32 {
+    return key >> 24u;
+}
+
+fn place_of(key: u32) -> u32 {
+    return LAST_PLACE - (key & LAST_PLACE);
+}
+
+const LEAST_RANK: u32 = 1936u;
+// Lists are shorter.
+const LAST_PLACE: u32 = 0xffffffu;
+
 fn unpack_normal(word: u32) -> vec3<f32> {
     let e = unpack2x16snorm(word);
     var n = vec3(e, 1.0 - abs(e.x) - abs(e.y));

@@ -1,42 +1,58 @@
 // The nearest depth at which each pixel's ray meets a disc: one that is known well enough, or, where there is none, any other.
 import package::shared::camera::Camera;
 import package::shared::disc::{depth_on_disc, pixels_of_disc};
-import package::shared::surfel::{SEEN, PREFERRED};
+import package::shared::surfel::{Attributes, SEEN, PREFERRED, unpack_normal};
 
 struct Params {
     camera: Camera,
+    camera_from_world: mat4x4<f32>,
+    first: u32,
+    page: u32,
     room: u32,
     reach: f32,
     largest_px: f32,
     // Discs of at least this confidence hide all others.
     preferred: f32,
+    unused: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
-@group(0) @binding(2) var<storage, read> centres: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> discs: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> listed: array<u32>;
+@group(0) @binding(3) var<storage, read> places: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> attributes: array<Attributes>;
 // The complement of the depth's bits; zeroed memory has none.
-@group(0) @binding(4) var<storage, read_write> nearest: array<atomic<u32>>;
+@group(0) @binding(5) var<storage, read_write> nearest: array<atomic<u32>>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let count = min(counters[SEEN], params.room);
     for (var i = id.x; i < count; i += groups.x * 64u) {
-        let centre = centres[i].xyz;
-        let disc = discs[i];
-        let radius = disc.w * params.reach;
-        let is_preferred = centres[i].w >= params.preferred;
-        let pixels = pixels_of_disc(params.camera, centre, radius, params.largest_px);
-        for (var y = pixels.y; y < pixels.w; y++) {
-            for (var x = pixels.x; x < pixels.z; x++) {
-                let z = depth_on_disc(params.camera, vec2(f32(x), f32(y)), centre, disc.xyz, radius);
-                if z > 0.0 {
-                    let bits = ~bitcast<u32>(z);
-                    let at = u32(y) * params.camera.size.x + u32(x);
-                    atomicMax(&nearest[at], select(bits & ~PREFERRED, bits, is_preferred));
-                }
+        let at = listed[i] - params.first;
+        if listed[i] < params.first || at >= params.page {
+            continue;
+        }
+        let place = places[at];
+        let own = attributes[at];
+        let centre = (params.camera_from_world * vec4(place.xyz, 1.0)).xyz;
+        let normal = (params.camera_from_world * vec4(unpack_normal(own.x), 0.0)).xyz;
+        let radius = bitcast<f32>(own.y) * params.reach;
+        let is_preferred = place.w >= params.preferred;
+        let pixels = pixels_of_disc(params.camera, centre, normal, radius, params.largest_px);
+        // One loop, so that invocations that run together wait for the largest box alone.
+        var x = pixels.x;
+        var y = pixels.y;
+        while y < pixels.w && x < pixels.z {
+            let z = depth_on_disc(params.camera, vec2(f32(x), f32(y)), centre, normal, radius);
+            if z > 0.0 {
+                let bits = ~bitcast<u32>(z);
+                let pixel = u32(y) * params.camera.size.x + u32(x);
+                atomicMax(&nearest[pixel], select(bits & ~PREFERRED, bits, is_preferred));
             }
+            x += 1;
+            let is_next = x == pixels.z;
+            x = select(x, pixels.x, is_next);
+            y += i32(is_next);
         }
     }
 }

@@ -50,6 +50,14 @@ impl Surfel {
     }
 }
 
+/// How well a surfel of some confidence is known, in sixteenths of powers of two: 0 up to 1/64, 255 from about 1000 on. Among surfels of one
+/// rank the first counts as the best known one.
+pub fn confidence_rank(confidence: f32) -> u32 {
+    // Positive numbers are in the order of their bits, the exponent before the mantissa.
+    let rank = |number: f32| number.to_bits() >> 19;
+    (rank(confidence).max(rank(1.0 / 64.0)) - rank(1.0 / 64.0)).min(255)
+}
+
 /// Surfels as points: their confidences are the points' confidences. Points have colours where any surfel has one; others are black
 /// then.
 pub fn cloud_of_surfels(surfels: &[Surfel]) -> PointCloud {
@@ -99,6 +107,12 @@ mod tests {
         for axis in [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z] {
             assert!(unpack_normal(pack_normal(axis)).distance(axis) < 1e-4, "{axis}");
         }
+    }
+
+    #[test]
+    fn ranks_follow_confidences() {
+        assert_eq!([0.0, 0.001, 1.0 / 64.0, 1.0, 1.0625, 2.0, 1e6].map(confidence_rank), [0, 0, 0, 96, 97, 112, 255]);
+        assert!((1..2000).map(|i| confidence_rank(i as f32 * 0.5)).is_sorted());
     }
 
     #[test]

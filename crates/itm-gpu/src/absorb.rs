@@ -55,6 +55,34 @@ impl Absorb {
         let world_from_camera = options.world_from_camera.to_mat4().to_cols_array_2d();
         let (radius_per_m, sigma) = (radius_per_m(&pixels.camera, settings), settings.confidence_sigma);
         let over_pixels = Groups::linear(pixels.pixels().into(), 64);
+        let chunks = pixels.chunks();
+        let over_chunks = Groups::linear(chunks.into(), 64);
+        for (first, [places, attributes]) in map.each_page() {
+            let bindings = absorb::count::Bindings {
+                params: absorb::count::Params {
+                    camera,
+                    world_from_camera,
+                    first,
+                    page,
+                    chunks,
+                    least_cosine: settings.max_slant_rad.cos(),
+                    window_m: settings.window_m,
+                    window_deviations: settings.window_deviations,
+                    reach: settings.reach,
+                    finer: settings.finer,
+                    radius_per_m,
+                    unused_a: 0,
+                    unused_b: [0; 2],
+                },
+                vertices,
+                normals,
+                chosen: &pixels.chosen,
+                places,
+                attributes,
+                wanted: &pixels.wanted,
+            };
+            recorder.dispatch(&self.count, &bindings, over_chunks);
+        }
         for (first, [places, attributes]) in map.each_page() {
             let bindings = absorb::update::Bindings {
                 params: absorb::update::Params {
@@ -83,29 +111,6 @@ impl Absorb {
             };
             recorder.dispatch(&self.update, &bindings, over_pixels);
         }
-        let chunks = pixels.chunks();
-        let over_chunks = Groups::linear(chunks.into(), 64);
-        let bindings = absorb::count::Bindings {
-            params: absorb::count::Params {
-                camera,
-                chunks,
-                least_cosine: settings.max_slant_rad.cos(),
-                window_m: settings.window_m,
-                window_deviations: settings.window_deviations,
-                reach: settings.reach,
-                finer: settings.finer,
-                radius_per_m,
-                unused: 0,
-            },
-            vertices,
-            normals,
-            chosen: &pixels.chosen,
-            slots: &pixels.slots,
-            centres: &map.centres,
-            discs: &map.discs,
-            wanted: &pixels.wanted,
-        };
-        recorder.dispatch(&self.count, &bindings, over_chunks);
         self.record_scan(recorder, map, pixels, &pixels.wanted, chunks, counter::NEW);
         for (first, [places, attributes]) in map.each_page() {
             let bindings = absorb::insert::Bindings {

@@ -20,7 +20,6 @@ pub struct Associate {
     colour: Pipeline,
     compete: Pipeline,
     choose: Pipeline,
-    claim: Pipeline,
 }
 
 impl Associate {
@@ -32,7 +31,6 @@ impl Associate {
             colour: plain(&associate::colour::PASS),
             compete: plain(&associate::compete::PASS),
             choose: plain(&associate::choose::PASS),
-            claim: plain(&associate::claim::PASS),
         }
     }
 
@@ -58,7 +56,7 @@ impl Associate {
         for buffer in [&pixels.best, &pixels.chosen, &pixels.rivals] {
             recorder.clear(buffer, buffer.size());
         }
-        self.list.record(recorder, map, camera, options, None);
+        self.list.record(recorder, map, pixels, options, None);
         let over_pixels = Groups::linear(pixels.pixels().into(), 64);
         match view.colour() {
             Some(image) => {
@@ -74,49 +72,44 @@ impl Associate {
         }
         let room = map.room();
         let (window_m, window_deviations) = (settings.window_m, settings.window_deviations);
-        let bindings = associate::compete::Bindings {
-            params: associate::compete::Params {
-                camera: camera_params(camera, options.depth_range_m),
-                room,
-                window_m,
-                window_deviations,
-                least_cosine: settings.max_angle_rad.cos(),
-                free_m: settings.free_m,
-                free_deviations: settings.free_deviations,
-                unused: [0; 2],
-            },
-            counters: &map.counters,
-            centres: &map.centres,
-            discs: &map.discs,
-            vertices,
-            normals,
-            targets: &map.targets,
-            best: &pixels.best,
-        };
-        recorder.dispatch(&self.compete, &bindings, OVER_LIST);
+        let camera_from_world = options.world_from_camera.inverse().to_mat4().to_cols_array_2d();
+        for (first, [places, attributes]) in map.each_page() {
+            let bindings = associate::compete::Bindings {
+                params: associate::compete::Params {
+                    camera: camera_params(camera, options.depth_range_m),
+                    camera_from_world,
+                    first,
+                    page: map.page(),
+                    room,
+                    window_m,
+                    window_deviations,
+                    least_cosine: settings.max_angle_rad.cos(),
+                    free_m: settings.free_m,
+                    free_deviations: settings.free_deviations,
+                },
+                counters: &map.counters,
+                listed: &map.listed,
+                places,
+                attributes,
+                vertices,
+                normals,
+                targets: &map.targets,
+                best: &pixels.best,
+            };
+            recorder.dispatch(&self.compete, &bindings, OVER_LIST);
+        }
         for (first, [places, _]) in map.each_page() {
             let bindings = associate::choose::Bindings {
                 params: associate::choose::Params { room, first, page: map.page(), stable: settings.stable },
                 counters: &map.counters,
                 listed: &map.listed,
-                centres: &map.centres,
                 targets: &map.targets,
                 best: &pixels.best,
                 chosen: &pixels.chosen,
+                rivals: &pixels.rivals,
                 places,
             };
             recorder.dispatch(&self.choose, &bindings, OVER_LIST);
         }
-        let bindings = associate::claim::Bindings {
-            params: associate::claim::Params { room, stable: settings.stable },
-            counters: &map.counters,
-            listed: &map.listed,
-            centres: &map.centres,
-            targets: &map.targets,
-            chosen: &pixels.chosen,
-            slots: &pixels.slots,
-            rivals: &pixels.rivals,
-        };
-        recorder.dispatch(&self.claim, &bindings, OVER_LIST);
     }
 }

@@ -43,7 +43,7 @@ impl Splat {
     /// Records the image of the surfels from a pose: points, normals, and, in `pixels`, colours.
     ///
     /// # Panics
-    /// Where image and `pixels` are not of one size.
+    /// Where image and `pixels` are not of one camera.
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -55,8 +55,8 @@ impl Splat {
     ) {
         recorder.stage("splat");
         let camera = image.camera();
-        assert_eq!(camera.pixels() as u32, pixels.pixels(), "an image of another size");
-        self.list.record(recorder, map, camera, options, Some(drawn.least));
+        assert_eq!(*camera, pixels.camera, "an image of another camera");
+        self.list.record(recorder, map, pixels, options, Some(drawn.least));
         let pose = options.world_from_camera;
         // What the pixels keep of measurements is done with.
         let nearest = &pixels.best;
@@ -66,43 +66,64 @@ impl Splat {
         let (room, reach, largest_px) = (map.room(), drawn.reach, LARGEST_PX);
         let (window_m, preferred) = (options.settings.window_m, drawn.preferred);
         let params_camera = camera_params(camera, options.depth_range_m);
-        let bindings = splat::nearest::Bindings {
-            params: splat::nearest::Params { camera: params_camera, room, reach, largest_px, preferred },
-            counters: &map.counters,
-            centres: &map.centres,
-            discs: &map.discs,
-            nearest,
-        };
-        recorder.dispatch(&self.nearest, &bindings, OVER_LIST);
-        let bindings = splat::choose::Bindings {
-            params: splat::choose::Params {
-                camera: params_camera,
-                room,
-                reach,
-                largest_px,
-                window_m,
-                preferred,
-                unused: 0,
-            },
-            counters: &map.counters,
-            centres: &map.centres,
-            discs: &map.discs,
-            nearest,
-            listed: &map.listed,
-            chosen: &pixels.chosen,
-        };
-        recorder.dispatch(&self.choose, &bindings, OVER_LIST);
+        let camera_from_world = pose.inverse().to_mat4().to_cols_array_2d();
+        let page = map.page();
+        for (first, [places, attributes]) in map.each_page() {
+            let bindings = splat::nearest::Bindings {
+                params: splat::nearest::Params {
+                    camera: params_camera,
+                    camera_from_world,
+                    first,
+                    page,
+                    room,
+                    reach,
+                    largest_px,
+                    preferred,
+                    unused: [0; 2],
+                },
+                counters: &map.counters,
+                listed: &map.listed,
+                places,
+                attributes,
+                nearest,
+            };
+            recorder.dispatch(&self.nearest, &bindings, OVER_LIST);
+        }
+        for (first, [places, attributes]) in map.each_page() {
+            let bindings = splat::choose::Bindings {
+                params: splat::choose::Params {
+                    camera: params_camera,
+                    camera_from_world,
+                    first,
+                    page,
+                    room,
+                    reach,
+                    largest_px,
+                    window_m,
+                    preferred,
+                    unused: 0,
+                },
+                counters: &map.counters,
+                listed: &map.listed,
+                places,
+                attributes,
+                nearest,
+                chosen: &pixels.chosen,
+            };
+            recorder.dispatch(&self.choose, &bindings, OVER_LIST);
+        }
         for (first, [places, attributes]) in map.each_page() {
             let bindings = splat::draw::Bindings {
                 params: splat::draw::Params {
                     camera: params_camera,
-                    camera_from_world: pose.inverse().to_mat4().to_cols_array_2d(),
+                    camera_from_world,
                     world_from_camera: pose.to_mat4().to_cols_array_2d(),
                     first,
-                    page: map.page(),
+                    page,
                     unused: [0; 2],
                 },
                 chosen: &pixels.chosen,
+                listed: &map.listed,
                 places,
                 attributes,
                 points: &image.points,

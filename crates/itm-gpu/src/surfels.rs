@@ -6,6 +6,7 @@ use itm_shaders::associate;
 
 use crate::map::camera_params;
 use crate::recorder::{Groups, Pipeline, Recorder};
+use crate::scan::{Scan, Total};
 use crate::{Device, Error};
 
 const COUNTERS: u64 = 16;
@@ -35,10 +36,10 @@ pub struct SurfelMap {
     pub(crate) pages: Vec<[wgpu::Buffer; 2]>,
     pub(crate) free: wgpu::Buffer,
     pub(crate) dead: wgpu::Buffer,
-    /// Surfels in view: indices, centres, discs, the pixels they compete for.
+    /// How many surfels of each 32 slots are in view, and which.
+    pub(crate) seen: wgpu::Buffer,
+    /// Surfels in view: indices, the pixels they compete for.
     pub(crate) listed: wgpu::Buffer,
-    pub(crate) centres: wgpu::Buffer,
-    pub(crate) discs: wgpu::Buffer,
     pub(crate) targets: wgpu::Buffer,
 }
 
@@ -131,9 +132,8 @@ impl SurfelMap {
             pages: Vec::new(),
             free: empty(),
             dead: empty(),
+            seen: empty(),
             listed: empty(),
-            centres: empty(),
-            discs: empty(),
             targets: empty(),
         };
         map.grow(surfels)?;
@@ -152,12 +152,12 @@ impl SurfelMap {
 
     /// Bytes of device memory that a surfel takes, with what passes leave for each other.
     pub const fn bytes_per_surfel() -> u64 {
-        4 * PART_BYTES + 3 * 4
+        2 * PART_BYTES + 3 * 4
     }
 
     /// Bytes of device memory that the map takes.
     pub fn device_bytes(&self) -> u64 {
-        let rest = [&self.counters, &self.free, &self.dead, &self.listed, &self.centres, &self.discs, &self.targets];
+        let rest = [&self.counters, &self.free, &self.dead, &self.seen, &self.listed, &self.targets];
         self.pages.iter().flatten().chain(rest).map(wgpu::Buffer::size).sum()
     }
 
@@ -171,9 +171,14 @@ impl SurfelMap {
         (0..).step_by(self.page() as usize).zip(&self.pages)
     }
 
-    /// Surfels in view that there is room for.
+    /// Surfels in view that there is room for: places in the list are numbers of 24 bits (`shared/surfel.wgsl`).
     pub(crate) fn room(&self) -> u32 {
-        self.capacity.min(self.page())
+        self.capacity.min(self.page()).min((1 << 24) - 1)
+    }
+
+    /// Chunks of 32 slots.
+    pub(crate) fn chunks(&self) -> u32 {
+        self.capacity / 32
     }
 
     /// Makes room for so many surfels, up to [`SurfelMap::max_capacity`]. What the map holds stays.
@@ -211,7 +216,8 @@ impl SurfelMap {
         };
         let (new, old) = (u64::from(surfels), u64::from(self.capacity));
         replace(&mut self.free, "free surfels", new * 4, old * 4);
-        replace(&mut self.dead, "dead surfels", new.div_ceil(32) * 4, 0);
+        replace(&mut self.dead, "dead surfels", new / 32 * 4, 0);
+        replace(&mut self.seen, "chunks of surfels in view", new / 32 * 8, 0);
         let page = u64::from(self.page());
         for first in (0..new).step_by(page as usize) {
             let bytes = (new - first).min(page) * PART_BYTES;
@@ -228,8 +234,6 @@ impl SurfelMap {
         let room = u64::from(self.room());
         replace(&mut self.listed, "surfels in view", room * 4, 0);
         replace(&mut self.targets, "surfels' targets", room * 4, 0);
-        replace(&mut self.centres, "surfels' centres", room * 16, 0);
-        replace(&mut self.discs, "surfels' discs", room * 16, 0);
     }
 
     /// Records the reading of the counters.
@@ -339,12 +343,10 @@ impl SurfelMap {
 #[derive(Debug)]
 pub struct SurfelView {
     pub(crate) camera: Intrinsics,
-    /// The largest confidence at each pixel.
+    /// Keys of the best known surfels at each pixel; while surfels are drawn, nearest depths.
     pub(crate) best: wgpu::Buffer,
     pub(crate) chosen: wgpu::Buffer,
     pub(crate) rivals: wgpu::Buffer,
-    /// Where in the list each pixel's surfel is.
-    pub(crate) slots: wgpu::Buffer,
     pub(crate) wanted: wgpu::Buffer,
     pub(crate) colours: wgpu::Buffer,
     pub(crate) indirect: wgpu::Buffer,
@@ -360,7 +362,6 @@ impl SurfelView {
             best: words("best surfels", pixels),
             chosen: words("chosen surfels", pixels),
             rivals: words("rivals", pixels),
-            slots: words("slots of surfels", pixels),
             wanted: words("wanted surfels", 2 * pixels.div_ceil(32)),
             colours: words("measured colours", pixels),
             indirect: words("surfel indirect", 4),
@@ -410,39 +411,47 @@ pub(crate) const LARGEST_PX: f32 = 12.0;
 /// Passes over a list whose length is known to the device alone stride over it.
 pub(crate) const OVER_LIST: Groups<'static> = Groups::Count([512, 1, 1]);
 
-/// The pass that lists the surfels in view.
+/// The passes that list the surfels in view, in the order of their slots.
 #[derive(Debug)]
 pub(crate) struct List {
     /// Without, and with the removal of what stayed unstable.
     visible: [Pipeline; 2],
+    scan: Scan,
+    list: Pipeline,
 }
 
 impl List {
     pub(crate) fn new(device: &Device) -> Self {
         let variant = |features: &[&str]| Pipeline::new(device, &associate::visible::PASS, features, &[]);
-        Self { visible: [variant(&[]), variant(&["removing"])] }
+        Self {
+            visible: [variant(&[]), variant(&["removing"])],
+            scan: Scan::new(device),
+            list: Pipeline::plain(device, &associate::list::PASS),
+        }
     }
 
-    /// Records the list of the surfels of at least some confidence that a camera sees; without one, of all of them, and those
-    /// that stayed unstable for too long are removed.
+    /// Records the list of the surfels of at least some confidence that the camera of `pixels` sees; without one, of all of them, and
+    /// those that stayed unstable for too long are removed.
     pub(crate) fn record(
         &self,
         recorder: &mut Recorder,
         map: &SurfelMap,
-        camera: &Intrinsics,
+        pixels: &SurfelView,
         options: &SurfelOptions<'_>,
         least_confidence: Option<f32>,
     ) {
-        recorder.clear_word(&map.counters, counter::SEEN);
         let camera_from_world = options.world_from_camera.inverse().to_mat4().to_cols_array_2d();
+        let is_removing = least_confidence.is_none();
+        let chunks = map.chunks();
+        let over_page = Groups::linear(u64::from(map.page() / 32).min(chunks.into()), 64);
         for (first, [places, attributes]) in map.each_page() {
             let bindings = associate::visible::Bindings {
                 params: associate::visible::Params {
-                    camera: camera_params(camera, options.depth_range_m),
+                    camera: camera_params(&pixels.camera, options.depth_range_m),
                     camera_from_world,
                     first,
                     page: map.page(),
-                    room: map.room(),
+                    chunks,
                     margin: LARGEST_PX,
                     least_confidence: least_confidence.unwrap_or(0.0),
                     stable: options.settings.stable,
@@ -451,12 +460,20 @@ impl List {
                 },
                 counters: &map.counters,
                 places,
-                attributes,
-                listed: &map.listed,
-                centres: &map.centres,
-                discs: &map.discs,
+                attributes: is_removing.then_some(attributes),
+                seen: &map.seen,
             };
-            recorder.dispatch(&self.visible[usize::from(least_confidence.is_none())], &bindings, OVER_LIST);
+            recorder.dispatch(&self.visible[usize::from(is_removing)], &bindings, over_page);
         }
+        let (counters, indirect) = (&map.counters, &pixels.indirect);
+        let total = Total { counters, slot: counter::SEEN, indirect, indirect_slot: 0, per_group: 64 };
+        self.scan.record(recorder, &map.seen, chunks, &total);
+        let slots = map.capacity();
+        let bindings = associate::list::Bindings {
+            params: associate::list::Params { slots, room: map.room(), unused: [0; 2] },
+            seen: &map.seen,
+            listed: &map.listed,
+        };
+        recorder.dispatch(&self.list, &bindings, Groups::linear(chunks.into(), 64));
     }
 }

@@ -4,11 +4,12 @@
 
 mod common;
 
+use std::cmp::Reverse;
 use std::sync::OnceLock;
 
 use common::{Gpu, RANGE_M, Scene, Shape, VIEW_OPTIONS, to_reference};
 use glam::{DVec2, DVec3};
-use itm_core::surfel::{SURFEL_WORDS, Surfel};
+use itm_core::surfel::{SURFEL_WORDS, Surfel, confidence_rank};
 use itm_core::voxel::ColourVoxel;
 use itm_core::{Calibration, ColourImage, DepthConversion, Image, Intrinsics, Se3, SurfelSettings};
 use itm_gpu::absorb::Absorb;
@@ -468,8 +469,9 @@ proptest! {
                         prop_assert!(z.is_some(), "{pixel} shows {found}, not {expected:?}");
                         prop_assert!(z.unwrap() <= nearest(-margin_m) + window_m + rounding_m, "{pixel}: {found} is hidden");
                         let limit = nearest(margin_m) + window_m - rounding_m;
-                        let earlier = all(-margin_m).find(|(i, z)| *i < found && *z < limit);
-                        prop_assert!(earlier.is_none(), "{pixel} shows {found}, not {earlier:?}");
+                        let rank = |i: usize| (slots[i].map_or(0, |s| confidence_rank(s.confidence)), Reverse(i));
+                        let better = all(-margin_m).find(|(i, z)| rank(*i) > rank(found) && *z < limit);
+                        prop_assert!(better.is_none(), "{pixel} shows {found}, not {better:?}");
                     }
                 }
             }

@@ -2,7 +2,7 @@
 //! Reconstruction in Dynamic Scenes using Point-based Fusion*, sections 4.2 and 5).
 
 use glam::{DVec2, DVec3};
-use itm_core::surfel::Surfel;
+use itm_core::surfel::{Surfel, confidence_rank};
 use itm_core::{Calibration, ColourImage, Image, Intrinsics, Se3, SurfelSettings};
 
 /// A frame's measurements, and how they were taken.
@@ -71,12 +71,13 @@ pub fn role(surfel: &Surfel, measured: &Measured<'_>, margin_m: f64) -> Option<R
 /// What a frame's measurements and the surfels are to each other. Surfels by their slots.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Association {
-    /// For each pixel the surfel that its measurement belongs to: of those that compete the one of the largest confidence
-    /// (section 5.2), and of several the first.
+    /// For each pixel the surfel that its measurement belongs to: of those that compete the best known one
+    /// (section 5.2), and of several of one rank ([`confidence_rank`]) the first.
     pub chosen: Vec<Option<usize>>,
     /// For each pixel the first of the stable surfels that competed as well: it may be merged (section 5.2).
     pub rivals: Vec<Option<usize>>,
-    /// Surfels that stayed unstable for too long, or stand in front of a measurement whose surfel is stable (section 5.3).
+    /// Surfels that stayed unstable for too long, or stand in front of a measurement whose surfel has a stable one's rank
+    /// (section 5.3).
     pub removed: Vec<usize>,
 }
 
@@ -85,12 +86,12 @@ pub fn associate(slots: &[Option<Surfel>], measured: &Measured<'_>) -> Associati
     let known = || slots.iter().enumerate().filter_map(|(i, surfel)| surfel.as_ref().map(|surfel| (i, surfel)));
     let roles: Vec<(usize, &Surfel, Role)> =
         known().map(|(i, surfel)| (i, surfel, role(surfel, measured, 0.0).unwrap_or(Role::None))).collect();
-    let confidence = |i: usize| slots[i].map_or(0.0, |surfel| surfel.confidence);
+    let rank = |i: usize| slots[i].map_or(0, |surfel| confidence_rank(surfel.confidence));
     let mut chosen: Vec<Option<usize>> = vec![None; measured.camera.pixels()];
     for (i, surfel, role) in &roles {
         if let Role::Competes(pixel) = role {
             let held = &mut chosen[*pixel];
-            if held.is_none_or(|held| surfel.confidence > confidence(held)) {
+            if held.is_none_or(|held| confidence_rank(surfel.confidence) > rank(held)) {
                 *held = Some(*i);
             }
         }
@@ -104,7 +105,8 @@ pub fn associate(slots: &[Option<Surfel>], measured: &Measured<'_>) -> Associati
             rivals[*pixel].get_or_insert(*i);
         }
     }
-    let is_stable = |pixel: usize| chosen[pixel].is_some_and(|i| confidence(i) >= measured.settings.stable);
+    let least = confidence_rank(measured.settings.stable);
+    let is_stable = |pixel: usize| chosen[pixel].is_some_and(|i| rank(i) >= least);
     let is_removed = |role: &Role| match role {
         Role::Forgotten => true,
         Role::InFront(pixel) => is_stable(*pixel),

@@ -2,7 +2,7 @@
 //! Reconstruction in Dynamic Scenes using Point-based Fusion*, section 6).
 
 use glam::{DVec2, DVec3};
-use itm_core::surfel::Surfel;
+use itm_core::surfel::{Surfel, confidence_rank};
 use itm_core::{Image, Intrinsics, Se3, SurfelSettings};
 
 use crate::splat::Drawn;
@@ -56,7 +56,7 @@ pub fn meet(surfel: &Surfel, look: &Look<'_>, pixel: DVec2, margin_m: f64) -> Op
 }
 
 /// For each pixel the slot of the surfel that it shows, and the depth at which it does: of those within a window behind the nearest
-/// the first, which was made first. Where any of the confidence that is preferred is met, others are not seen.
+/// the best known, and of several of one rank ([`confidence_rank`]) the first. Where any of the confidence that is preferred is met, others are not seen.
 pub fn splat(slots: &[Option<Surfel>], look: &Look<'_>) -> Image<Option<(usize, f64)>> {
     Image::from_fn(look.camera.width, look.camera.height, |x, y| {
         let pixel = DVec2::new(x.into(), y.into());
@@ -67,7 +67,9 @@ pub fn splat(slots: &[Option<Surfel>], look: &Look<'_>) -> Image<Option<(usize, 
             met.retain(|(i, _)| is_preferred(*i));
         }
         let nearest = met.iter().map(|(_, z)| *z).reduce(f64::min)?;
-        met.into_iter().find(|(_, z)| *z <= nearest + f64::from(look.settings.window_m))
+        let rank = |i: usize| slots[i].map_or(0, |surfel| confidence_rank(surfel.confidence));
+        met.retain(|(_, z)| *z <= nearest + f64::from(look.settings.window_m));
+        met.into_iter().rev().max_by_key(|(i, _)| rank(*i))
     })
 }
 
@@ -83,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_of_those_near_the_nearest_is_shown() {
+    fn the_best_known_of_those_near_the_nearest_is_shown() {
         let camera = Intrinsics::new(5, 5, 10.0, 10.0, 2.0, 2.0);
         let settings = SurfelSettings::default();
         let look = Look {
@@ -100,12 +102,21 @@ mod tests {
         let hidden = surfel(1.5, 9.0);
         let turned_away = surfel(0.7, 9.0).map(|s| Surfel { normal: Vec3::Z, ..s });
         let (unknown, less_known) = (surfel(0.8, 0.5), surfel(0.75, 3.0));
-        let slots = [hidden, None, turned_away, surfel(1.005, 9.0), surfel(1.0, 9.0), unknown, less_known];
+        let slots = [
+            hidden,
+            None,
+            turned_away,
+            surfel(1.005, 12.1),
+            surfel(1.0, 9.0),
+            surfel(1.002, 12.0),
+            unknown,
+            less_known,
+        ];
         let shown = splat(&slots, &look);
         let is_shown = |x, y| shown[(x, y)].map(|(i, _)| i);
         assert_eq!([(2, 2), (1, 2), (2, 3)].map(|(x, y)| is_shown(x, y)), [Some(3); 3]);
         // Beside the discs that are well known there is one of the less known, which is nearer and looks larger.
-        assert_eq!([(1, 1), (0, 2)].map(|(x, y)| is_shown(x, y)), [Some(6), None]);
+        assert_eq!([(1, 1), (0, 2)].map(|(x, y)| is_shown(x, y)), [Some(7), None]);
         assert!((shown[(2, 2)].unwrap().1 - 1.005).abs() < 1e-6);
         let slots = [surfel(1.5, 3.0), unknown, less_known];
         assert_eq!(splat(&slots, &look)[(2, 2)].map(|(i, _)| i), Some(2));
