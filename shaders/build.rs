@@ -16,7 +16,7 @@ use naga::{AddressSpace, ArraySize, Scalar, ScalarKind, StorageAccess, TypeInner
 /// Passes that come in several variants, for the features that the file's `@if(...)` ask for. Each entry of a pass is a choice
 /// of feature sets; the variants are all combinations. Passes that are not listed have one variant without features.
 const VARIANTS: &[(&str, &[Choice])] = &[
-    ("associate/visible", &[&[&[], &["removing"]]]),
+    ("associate/visible", &[&[&[], &["removing"], &["of_submap"], &["removing", "of_submap"], &["combined"]]]),
     ("confidence", &[PAGES]),
     ("integrate", &[F32, COLOUR, WEIGHTED, CONFIDENCE]),
     ("mesh/gather", &[F32]),
@@ -28,6 +28,9 @@ const VARIANTS: &[(&str, &[Choice])] = &[
     ("raycast", &[F32, LISTED, PAGES]),
     ("render/colour", &[PAGES]),
     ("shrink/average", &[COLOUR]),
+    ("splat/choose", &[COMBINED]),
+    ("splat/draw", &[COMBINED]),
+    ("splat/nearest", &[COMBINED]),
     ("swap/empty", &[F32]),
     // Colours, confidences, distances of both kinds.
     ("swap/merge", &[&[&[], &["confidences"], &["distances"], &["f32", "distances"]]]),
@@ -39,6 +42,7 @@ const F32: Choice = &[&[], &["f32"]];
 const COLOUR: Choice = &[&[], &["colour"]];
 const WEIGHTED: Choice = &[&[], &["weighted"]];
 const CONFIDENCE: Choice = &[&[], &["confidence"]];
+const COMBINED: Choice = &[&[], &["combined"]];
 const LISTED: Choice = &[&[], &["listed"]];
 const PAGES: Choice = &[&[], &["pages2"], &["pages2", "pages3"], &["pages2", "pages3", "pages4"]];
 

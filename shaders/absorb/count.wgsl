@@ -2,7 +2,7 @@
 // the surfels of the pixels around. A disc that is much larger than what the pixel would become does not count: the surface is
 // seen more finely now. Each page's surfels take away from what the pages before left. The pixels' bits lie behind the counts.
 import package::shared::camera::Camera;
-import package::shared::surfel::{Attributes, depth_deviation, unpack_normal};
+import package::shared::surfel::{Attributes, depth_deviation, unpack_normal, unpack_radius};
 
 struct Params {
     camera: Camera,
@@ -49,7 +49,7 @@ fn is_covered(i: u32, vertex: vec3<f32>) -> bool {
             let own = attributes[at];
             let off = point - places[at].xyz;
             let along = dot(off, unpack_normal(own.x));
-            let radius = bitcast<f32>(own.y);
+            let radius = unpack_radius(own.y);
             let is_fine = radius <= params.finer * params.radius_per_m * vertex.z;
             let reach = radius * params.reach;
             if is_fine && abs(along) <= window && dot(off, off) - along * along <= reach * reach {

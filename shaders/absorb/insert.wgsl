@@ -1,7 +1,7 @@
 // Makes surfels of one page of measurements without any, in the order of their pixels: first in free slots, then behind all others.
 import package::shared::camera::Camera;
 import package::shared::observation::{radius_of, sample_confidence};
-import package::shared::surfel::{Attributes, USED, FREE, TAKEN, pack_normal};
+import package::shared::surfel::{Attributes, USED, FREE, TAKEN, pack_normal, pack_size};
 
 struct Params {
     camera: Camera,
@@ -13,7 +13,7 @@ struct Params {
     chunks: u32,
     radius_per_m: f32,
     sigma: f32,
-    unused: u32,
+    submap: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -55,7 +55,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
             let colour = select(0u, (colours[i] & 0xffffffu) | (1u << 24u), (colours[i] >> 24u) != 0u);
             let normal = (params.world_from_camera * vec4(facing, 0.0)).xyz;
             places[at] = vec4((params.world_from_camera * vec4(vertex, 1.0)).xyz, share);
-            attributes[at] = vec4(pack_normal(normal), bitcast<u32>(radius), params.frame, colour);
+            attributes[at] = vec4(pack_normal(normal), pack_size(radius, params.submap), params.frame, colour);
         }
     }
 }

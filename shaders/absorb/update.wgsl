@@ -3,7 +3,7 @@
 import package::shared::camera::Camera;
 import package::shared::observation::{radius_of, sample_confidence};
 import package::shared::running_colour::with_colour;
-import package::shared::surfel::{Attributes, UPDATED, MERGED, unpack_normal, pack_normal};
+import package::shared::surfel::{Attributes, UPDATED, MERGED, pack_normal, pack_size, submap_of, unpack_normal, unpack_radius};
 
 struct Params {
     camera: Camera,
@@ -50,7 +50,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         let own = attributes[at];
         var place = before.xyz;
         var normal = unpack_normal(own.x);
-        var radius = bitcast<f32>(own.y);
+        var radius = unpack_radius(own.y);
         let share = sample_confidence(params.camera, vec2(i % width, i / width), params.sigma);
         var confidence = before.w + share;
         let seen_radius = radius_of(params.radius_per_m, vertex.z, facing.z);
@@ -81,7 +81,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         if (colours[i] >> 24u) != 0u {
             colour = with_colour(colour, unpack4x8unorm(colours[i]).rgb * 255.0, 64u);
         }
-        attributes[at] = vec4(pack_normal(normal), bitcast<u32>(radius), params.frame, colour);
+        attributes[at] = vec4(pack_normal(normal), pack_size(radius, submap_of(own.y)), params.frame, colour);
     }
     if updated > 0u {
         atomicAdd(&counters[UPDATED], updated);

@@ -1,7 +1,8 @@
 // Which surfels of one page lie in the view, and how many of each 32 slots do. The slots' bits lie behind the counts of all pages.
-// With `removing`, surfels that stayed unstable for too long are removed on the way.
+// With `of_submap` those of one submap alone; with `combined` those of all, as they lie in the world.
+// With `removing`, those that stayed unstable for too long are removed on the way.
 import package::shared::camera::{Camera, project};
-import package::shared::surfel::{Attributes, USED, REMOVED, STABLE};
+import package::shared::surfel::{Attributes, USED, REMOVED, STABLE, submap_of};
 
 struct Params {
     camera: Camera,
@@ -19,6 +20,9 @@ struct Params {
     frame: u32,
     // Frames after which an unstable surfel that was not observed again is removed.
     patience: u32,
+    submap: u32,
+    unused_a: u32,
+    unused_b: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -26,6 +30,7 @@ struct Params {
 @group(0) @binding(2) var<storage, read_write> places: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> attributes: array<Attributes>;
 @group(0) @binding(4) var<storage, read_write> seen: array<u32>;
+@if(combined) @group(0) @binding(5) var<storage, read> camera_from_submaps: array<mat4x4<f32>>;
 
 fn is_in_view(p: vec3<f32>) -> bool {
     let range = params.camera.depth_range;
@@ -46,18 +51,23 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         var bits = 0u;
         for (var i = first; i < last; i++) {
             let place = places[i];
-            var is_listed = place.w > 0.0 && place.w >= params.least_confidence;
+            var is_meant = place.w > 0.0;
+            @if(of_submap) {
+                is_meant = is_meant && submap_of(attributes[i].y) == params.submap;
+            }
             @if(removing) {
-                if place.w >= params.stable {
-                    stable += 1u;
-                } else if place.w > 0.0 && params.frame - min(params.frame, attributes[i].z) > params.patience {
+                stable += u32(place.w >= params.stable);
+                let is_unstable = is_meant && place.w < params.stable;
+                if is_unstable && params.frame - min(params.frame, attributes[i].z) > params.patience {
                     places[i] = vec4(0.0);
                     removed += 1u;
-                    is_listed = false;
+                    is_meant = false;
                 }
             }
-            let p = (params.camera_from_world * vec4(place.xyz, 1.0)).xyz;
-            bits |= select(0u, 1u << (i - first), is_listed && is_in_view(p));
+            @if(!combined) let camera_from_surfel = params.camera_from_world;
+            @if(combined) let camera_from_surfel = camera_from_submaps[submap_of(attributes[i].y)];
+            let p = (camera_from_surfel * vec4(place.xyz, 1.0)).xyz;
+            bits |= select(0u, 1u << (i - first), is_meant && place.w >= params.least_confidence && is_in_view(p));
         }
         let at = params.first / 32u + chunk;
         seen[at] = countOneBits(bits);

@@ -1,7 +1,7 @@
 // Surfels (Keller et al. 2013): a disc's place and confidence in one plane; normal, radius, time of its last observation and
 // colour in another. A confidence of 0 marks a slot without a surfel, as zeroed memory has it.
 
-// What a surfel's second part is: normal as two 16-bit numbers (octahedral), the radius' bits, the frame that last saw it, and its
+// What a surfel's second part is: normal as two 16-bit numbers (octahedral), radius and submap, the frame that last saw it, and its
 // colour from the lowest byte up, with the number of colours fused in the highest.
 alias Attributes = vec4<u32>;
 
@@ -46,6 +46,20 @@ fn place_of(key: u32) -> u32 {
 const LEAST_RANK: u32 = 1936u;
 // Lists are shorter.
 const LAST_PLACE: u32 = 0xffffffu;
+
+// A radius in metres and the number of a submap, in 16 bits each: radii are kept by their logarithm, to 0.02 %.
+fn pack_size(radius: f32, submap: u32) -> u32 {
+    let steps = clamp(floor((log2(max(radius, 1e-30)) + 16.0) * 2048.0 + 0.5), 0.0, 65535.0);
+    return u32(steps) | (submap << 16u);
+}
+
+fn unpack_radius(size: u32) -> f32 {
+    return exp2(f32(size & 0xffffu) / 2048.0 - 16.0);
+}
+
+fn submap_of(size: u32) -> u32 {
+    return size >> 16u;
+}
 
 fn unpack_normal(word: u32) -> vec3<f32> {
     let e = unpack2x16snorm(word);

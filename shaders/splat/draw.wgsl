@@ -1,6 +1,6 @@
 // What each pixel shows of the surfels of one page: the point where its ray meets the disc, and the disc's normal and colour.
 import package::shared::camera::{Camera, unproject};
-import package::shared::surfel::{Attributes, place_of, unpack_normal};
+import package::shared::surfel::{Attributes, place_of, submap_of, unpack_normal};
 
 struct Params {
     camera: Camera,
@@ -22,6 +22,7 @@ struct Params {
 @group(0) @binding(6) var<storage, read_write> normals: array<vec4<f32>>;
 // Red, green, blue from the lowest byte up, and 255; 0 where the surfel has none.
 @group(0) @binding(7) var<storage, read_write> colours: array<u32>;
+@if(combined) @group(0) @binding(8) var<storage, read> camera_from_submaps: array<mat4x4<f32>>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -42,8 +43,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         }
         let place = places[index - params.first];
         let own = attributes[index - params.first];
-        let centre = (params.camera_from_world * vec4(place.xyz, 1.0)).xyz;
-        let normal = (params.camera_from_world * vec4(unpack_normal(own.x), 0.0)).xyz;
+        @if(!combined) let camera_from_surfel = params.camera_from_world;
+        @if(combined) let camera_from_surfel = camera_from_submaps[submap_of(own.y)];
+        let centre = (camera_from_surfel * vec4(place.xyz, 1.0)).xyz;
+        let normal = (camera_from_surfel * vec4(unpack_normal(own.x), 0.0)).xyz;
         let ray = unproject(params.camera, vec2(f32(i % width), f32(i / width)), 1.0);
         let hit = ray * (dot(normal, centre) / dot(normal, ray));
         points[i] = vec4((params.world_from_camera * vec4(hit, 1.0)).xyz, place.w + 1.0);

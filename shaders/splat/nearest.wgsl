@@ -1,7 +1,7 @@
 // The nearest depth at which each pixel's ray meets a disc: one that is known well enough, or, where there is none, any other.
 import package::shared::camera::Camera;
 import package::shared::disc::{depth_on_disc, pixels_of_disc};
-import package::shared::surfel::{Attributes, SEEN, PREFERRED, unpack_normal};
+import package::shared::surfel::{Attributes, SEEN, PREFERRED, submap_of, unpack_normal, unpack_radius};
 
 struct Params {
     camera: Camera,
@@ -23,6 +23,7 @@ struct Params {
 @group(0) @binding(4) var<storage, read> attributes: array<Attributes>;
 // The complement of the depth's bits; zeroed memory has none.
 @group(0) @binding(5) var<storage, read_write> nearest: array<atomic<u32>>;
+@if(combined) @group(0) @binding(6) var<storage, read> camera_from_submaps: array<mat4x4<f32>>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -34,9 +35,11 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         }
         let place = places[at];
         let own = attributes[at];
-        let centre = (params.camera_from_world * vec4(place.xyz, 1.0)).xyz;
-        let normal = (params.camera_from_world * vec4(unpack_normal(own.x), 0.0)).xyz;
-        let radius = bitcast<f32>(own.y) * params.reach;
+        @if(!combined) let camera_from_surfel = params.camera_from_world;
+        @if(combined) let camera_from_surfel = camera_from_submaps[submap_of(own.y)];
+        let centre = (camera_from_surfel * vec4(place.xyz, 1.0)).xyz;
+        let normal = (camera_from_surfel * vec4(unpack_normal(own.x), 0.0)).xyz;
+        let radius = unpack_radius(own.y) * params.reach;
         let is_preferred = place.w >= params.preferred;
         let pixels = pixels_of_disc(params.camera, centre, normal, radius, params.largest_px);
         // One loop, so that invocations that run together wait for the largest box alone.

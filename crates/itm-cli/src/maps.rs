@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context as _, Result, bail};
-use itm_slam::{Device, Mode, SavedMap, SavedSession, Slam};
+use itm_slam::{Device, SavedMap, SavedSession, Slam};
 
 use crate::console;
 
@@ -28,7 +28,7 @@ pub(crate) fn open(path: &Path, memory_mib: u64, quiet: bool) -> Result<SavedMap
 /// The session that made a map of surfels; none where it is one of voxels.
 pub(crate) fn of_surfels(path: &Path, device: Option<&str>) -> Result<Option<Slam>> {
     // What is wrong with a file is told by what reads all of it.
-    let Some(saved) = SavedSession::open(path).ok().filter(|saved| saved.settings.mode == Mode::Surfels) else {
+    let Some(saved) = SavedSession::open(path).ok().filter(|saved| saved.settings.mode.has_surfels()) else {
         return Ok(None);
     };
     let device = match device {

@@ -147,6 +147,8 @@ enum ModeArgument {
     LoopClosure,
     /// One map of discs on surfaces
     Surfels,
+    /// Submaps of discs on surfaces
+    SurfelsLoopClosure,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -534,6 +536,7 @@ impl Arguments {
             Some(ModeArgument::Basic) => settings.mode = Mode::Basic,
             Some(ModeArgument::LoopClosure) => settings.mode = Mode::LoopClosure,
             Some(ModeArgument::Surfels) => settings.mode = Mode::Surfels,
+            Some(ModeArgument::SurfelsLoopClosure) => settings.mode = Mode::SurfelsLoopClosure,
             None => {}
         }
         Ok(settings)

@@ -11,43 +11,57 @@ pub const SURFEL_WORDS: usize = 8;
 /// A disc on a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surfel {
-    /// Centre in metres (the map's frame).
+    /// Centre in metres (its submap's frame).
     pub position: Vec3,
     /// Unit normal, pointing into free space. In memory two 16-bit numbers.
     pub normal: Vec3,
-    /// Radius in metres.
+    /// Radius in metres. In memory a 16-bit number, to 0.02 %.
     pub radius_m: f32,
+    /// The submap that it belongs to, in whose frame it lies.
+    pub submap: u16,
     /// How many observations from the image's middle would tell as much of it; above 0.
     pub confidence: f32,
-    /// The frame that last observed it, counted from 1.
+    /// The frame that last observed it, of those that its submap was fused from, counted from 1.
     pub seen: u32,
     /// Red, green, blue; none where no frame had a colour for it.
     pub colour: Option<[u8; 3]>,
 }
 
 impl Surfel {
-    /// As the device holds it: centre and confidence; normal, radius, last frame, colour. A surfel's number of fused colours is
+    /// As the device holds it: centre and confidence; normal, radius and submap, last frame, colour. A surfel's number of fused colours is
     /// not known here: it counts as one.
     pub fn to_words(&self) -> [u32; SURFEL_WORDS] {
         let [x, y, z] = self.position.to_array().map(f32::to_bits);
         let colour = self.colour.map_or(0, |[r, g, b]| u32::from_le_bytes([r, g, b, 1]));
-        [x, y, z, self.confidence.to_bits(), pack_normal(self.normal), self.radius_m.to_bits(), self.seen, colour]
+        [x, y, z, self.confidence.to_bits(), pack_normal(self.normal), pack_size(self.radius_m, self.submap), self.seen, colour]
     }
 
     /// The inverse of [`Surfel::to_words`]; `None` for a slot without a surfel.
     pub fn from_words(words: [u32; SURFEL_WORDS]) -> Option<Self> {
-        let [x, y, z, confidence, normal, radius, seen, colour] = words;
+        let [x, y, z, confidence, normal, size, seen, colour] = words;
         let confidence = f32::from_bits(confidence);
         let [r, g, b, count] = colour.to_le_bytes();
         (confidence > 0.0).then(|| Self {
             position: Vec3::from_array([x, y, z].map(f32::from_bits)),
             normal: unpack_normal(normal),
-            radius_m: f32::from_bits(radius),
+            radius_m: unpack_radius(size),
+            submap: (size >> 16) as u16,
             confidence,
             seen,
             colour: (count > 0).then_some([r, g, b]),
         })
     }
+}
+
+/// A radius in metres and the number of a submap, in 16 bits each: radii are kept by their logarithm, from 15 micrometres on.
+pub fn pack_size(radius_m: f32, submap: u16) -> u32 {
+    let steps = ((radius_m.max(1e-30).log2() + 16.0) * 2048.0 + 0.5).floor().clamp(0.0, 65535.0);
+    steps as u32 | (u32::from(submap) << 16)
+}
+
+/// The radius in metres that [`pack_size`] packed.
+pub fn unpack_radius(size: u32) -> f32 {
+    ((size & 0xffff) as f32 / 2048.0 - 16.0).exp2()
 }
 
 /// How well a surfel of some confidence is known, in sixteenths of powers of two: 0 up to 1/64, 255 from about 1000 on. Among surfels of one
@@ -110,6 +124,17 @@ mod tests {
     }
 
     #[test]
+    fn sizes_survive_packing_again_and_again() {
+        for submap in [0, 1, 65535] {
+            for steps in 0..=65535 {
+                let size = steps | (u32::from(submap) << 16);
+                assert_eq!(pack_size(unpack_radius(size), submap), size);
+            }
+        }
+        assert_eq!([0.0, -1.0, f32::INFINITY].map(|radius| pack_size(radius, 0)), [0, 0, 65535]);
+    }
+
+    #[test]
     fn ranks_follow_confidences() {
         assert_eq!([0.0, 0.001, 1.0 / 64.0, 1.0, 1.0625, 2.0, 1e6].map(confidence_rank), [0, 0, 0, 96, 97, 112, 255]);
         assert!((1..2000).map(|i| confidence_rank(i as f32 * 0.5)).is_sorted());
@@ -121,13 +146,15 @@ mod tests {
             position: Vec3::new(1.0, -2.5, 0.125),
             normal: Vec3::NEG_Z,
             radius_m: 0.003,
+            submap: 3,
             confidence: 12.5,
             seen: 77,
             colour: Some([1, 200, 255]),
         };
         let read = Surfel::from_words(surfel.to_words()).expect("a surfel");
         assert!(read.normal.distance(surfel.normal) < 1e-4);
-        assert_eq!(Surfel { normal: surfel.normal, ..read }, surfel);
+        assert!((read.radius_m / surfel.radius_m - 1.0).abs() < 2e-4, "{}", read.radius_m);
+        assert_eq!(Surfel { normal: surfel.normal, radius_m: surfel.radius_m, ..read }, surfel);
         assert_eq!(Surfel::from_words([0; SURFEL_WORDS]), None);
     }
 }

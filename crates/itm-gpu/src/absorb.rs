@@ -124,7 +124,7 @@ impl Absorb {
                     chunks,
                     radius_per_m,
                     sigma,
-                    unused: 0,
+                    submap: options.part.submap().into(),
                 },
                 counters: &map.counters,
                 vertices,

@@ -56,7 +56,7 @@ impl Associate {
         for buffer in [&pixels.best, &pixels.chosen, &pixels.rivals] {
             recorder.clear(buffer, buffer.size());
         }
-        self.list.record(recorder, map, pixels, options, None);
+        self.list.record(recorder, map, pixels, options, None, None);
         let over_pixels = Groups::linear(pixels.pixels().into(), 64);
         match view.colour() {
             Some(image) => {

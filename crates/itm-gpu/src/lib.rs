@@ -47,5 +47,5 @@ pub use raycast::RaycastImage;
 pub use recorder::{Recorder, StageTimes};
 pub use state::MapState;
 pub use sums::{DepthSums, PhotometricSums};
-pub use surfels::{SurfelMap, SurfelOptions, SurfelRecord, SurfelRecordReader, SurfelState, SurfelView};
+pub use surfels::{Part, SurfelMap, SurfelOptions, SurfelRecord, SurfelRecordReader, SurfelState, SurfelView};
 pub use view::View;

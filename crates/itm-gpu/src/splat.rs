@@ -23,20 +23,21 @@ pub struct Drawn {
 #[derive(Debug)]
 pub struct Splat {
     list: List,
-    nearest: Pipeline,
-    choose: Pipeline,
-    draw: Pipeline,
+    /// Of surfels in one frame, and of those of all submaps.
+    nearest: [Pipeline; 2],
+    choose: [Pipeline; 2],
+    draw: [Pipeline; 2],
 }
 
 impl Splat {
     /// Compiles the stage.
     pub fn new(device: &Device) -> Self {
-        let plain = |pass| Pipeline::plain(device, pass);
+        let both = |pass| [&[][..], &["combined"]].map(|features| Pipeline::new(device, pass, features, &[]));
         Self {
             list: List::new(device),
-            nearest: plain(&splat::nearest::PASS),
-            choose: plain(&splat::choose::PASS),
-            draw: plain(&splat::draw::PASS),
+            nearest: both(&splat::nearest::PASS),
+            choose: both(&splat::choose::PASS),
+            draw: both(&splat::draw::PASS),
         }
     }
 
@@ -56,7 +57,9 @@ impl Splat {
         recorder.stage("splat");
         let camera = image.camera();
         assert_eq!(*camera, pixels.camera, "an image of another camera");
-        self.list.record(recorder, map, pixels, options, Some(drawn.least));
+        let poses = map.camera_from_submaps(options);
+        let (camera_from_submaps, variant) = (poses.as_ref(), usize::from(poses.is_some()));
+        self.list.record(recorder, map, pixels, options, Some(drawn.least), camera_from_submaps);
         let pose = options.world_from_camera;
         // What the pixels keep of measurements is done with.
         let nearest = &pixels.best;
@@ -86,8 +89,9 @@ impl Splat {
                 places,
                 attributes,
                 nearest,
+                camera_from_submaps,
             };
-            recorder.dispatch(&self.nearest, &bindings, OVER_LIST);
+            recorder.dispatch(&self.nearest[variant], &bindings, OVER_LIST);
         }
         for (first, [places, attributes]) in map.each_page() {
             let bindings = splat::choose::Bindings {
@@ -100,8 +104,8 @@ impl Splat {
                     reach,
                     largest_px,
                     window_m,
+                    window_deviations: options.settings.window_deviations,
                     preferred,
-                    unused: 0,
                 },
                 counters: &map.counters,
                 listed: &map.listed,
@@ -109,8 +113,9 @@ impl Splat {
                 attributes,
                 nearest,
                 chosen: &pixels.chosen,
+                camera_from_submaps,
             };
-            recorder.dispatch(&self.choose, &bindings, OVER_LIST);
+            recorder.dispatch(&self.choose[variant], &bindings, OVER_LIST);
         }
         for (first, [places, attributes]) in map.each_page() {
             let bindings = splat::draw::Bindings {
@@ -129,8 +134,9 @@ impl Splat {
                 points: &image.points,
                 normals: &image.normals,
                 colours: &pixels.colours,
+                camera_from_submaps,
             };
-            recorder.dispatch(&self.draw, &bindings, Groups::linear(pixels.pixels().into(), 64));
+            recorder.dispatch(&self.draw[variant], &bindings, Groups::linear(pixels.pixels().into(), 64));
         }
     }
 }

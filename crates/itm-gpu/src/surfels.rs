@@ -181,6 +181,17 @@ impl SurfelMap {
         self.capacity / 32
     }
 
+    /// The submaps' poses as the camera sees them, where it looks at all of them.
+    pub(crate) fn camera_from_submaps(&self, options: &SurfelOptions<'_>) -> Option<wgpu::Buffer> {
+        let Part::Combined(poses) = options.part else { return None };
+        let camera_from_world = options.world_from_camera.inverse();
+        let matrices: Vec<[[f32; 4]; 4]> =
+            poses.iter().map(|pose| (camera_from_world * *pose).to_mat4().to_cols_array_2d()).collect();
+        let buffer = self.device.storage("poses of submaps", 64 * matrices.len() as u64);
+        self.device.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(&matrices));
+        Some(buffer)
+    }
+
     /// Makes room for so many surfels, up to [`SurfelMap::max_capacity`]. What the map holds stays.
     ///
     /// # Errors
@@ -395,8 +406,31 @@ pub struct SurfelOptions<'a> {
     pub settings: &'a SurfelSettings,
     /// Nearest and farthest depth in metres at which surfels are seen.
     pub depth_range_m: [f32; 2],
-    /// The frame's number, from 1.
+    /// The frame's number, from 1, among those that are fused into the part.
     pub frame: u32,
+    /// Which surfels.
+    pub part: Part<'a>,
+}
+
+/// Which surfels of a map are looked at, and in which frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Part<'a> {
+    /// All: the map has one frame.
+    Whole,
+    /// Those of a submap, in whose frame the camera's pose is.
+    Submap(u16),
+    /// All, as they lie in the world: each submap's pose, `world_from_submap`, by its number. For drawing alone.
+    Combined(&'a [Se3]),
+}
+
+impl Part<'_> {
+    /// The submap that new surfels belong to.
+    pub(crate) fn submap(self) -> u16 {
+        match self {
+            Self::Submap(submap) => submap,
+            Self::Whole | Self::Combined(_) => 0,
+        }
+    }
 }
 
 /// Radius in metres of the disc that a camera's pixel sees at a depth of one metre: of the circle around it.
@@ -414,8 +448,8 @@ pub(crate) const OVER_LIST: Groups<'static> = Groups::Count([512, 1, 1]);
 /// The passes that list the surfels in view, in the order of their slots.
 #[derive(Debug)]
 pub(crate) struct List {
-    /// Without, and with the removal of what stayed unstable.
-    visible: [Pipeline; 2],
+    /// Of a whole map, without and with the removal of what stayed unstable; of a submap, the same; of all submaps.
+    visible: [Pipeline; 5],
     scan: Scan,
     list: Pipeline,
 }
@@ -424,14 +458,21 @@ impl List {
     pub(crate) fn new(device: &Device) -> Self {
         let variant = |features: &[&str]| Pipeline::new(device, &associate::visible::PASS, features, &[]);
         Self {
-            visible: [variant(&[]), variant(&["removing"])],
+            visible: [
+                variant(&[]),
+                variant(&["removing"]),
+                variant(&["of_submap"]),
+                variant(&["removing", "of_submap"]),
+                variant(&["combined"]),
+            ],
             scan: Scan::new(device),
             list: Pipeline::plain(device, &associate::list::PASS),
         }
     }
 
     /// Records the list of the surfels of at least some confidence that the camera of `pixels` sees; without one, of all of them, and
-    /// those that stayed unstable for too long are removed.
+    /// those that stayed unstable for too long are removed. `camera_from_submaps` is what
+    /// [`SurfelMap::camera_from_submaps`] gives.
     pub(crate) fn record(
         &self,
         recorder: &mut Recorder,
@@ -439,9 +480,15 @@ impl List {
         pixels: &SurfelView,
         options: &SurfelOptions<'_>,
         least_confidence: Option<f32>,
+        camera_from_submaps: Option<&wgpu::Buffer>,
     ) {
         let camera_from_world = options.world_from_camera.inverse().to_mat4().to_cols_array_2d();
         let is_removing = least_confidence.is_none();
+        let variant = match options.part {
+            Part::Whole => usize::from(is_removing),
+            Part::Submap(_) => 2 + usize::from(is_removing),
+            Part::Combined(_) => 4,
+        };
         let chunks = map.chunks();
         let over_page = Groups::linear(u64::from(map.page() / 32).min(chunks.into()), 64);
         for (first, [places, attributes]) in map.each_page() {
@@ -457,13 +504,17 @@ impl List {
                     stable: options.settings.stable,
                     frame: options.frame,
                     patience: options.settings.patience,
+                    submap: options.part.submap().into(),
+                    unused_a: 0,
+                    unused_b: [0; 2],
                 },
                 counters: &map.counters,
                 places,
-                attributes: is_removing.then_some(attributes),
+                attributes: (variant > 0).then_some(attributes),
                 seen: &map.seen,
+                camera_from_submaps,
             };
-            recorder.dispatch(&self.visible[usize::from(is_removing)], &bindings, over_page);
+            recorder.dispatch(&self.visible[variant], &bindings, over_page);
         }
         let (counters, indirect) = (&map.counters, &pixels.indirect);
         let total = Total { counters, slot: counter::SEEN, indirect, indirect_slot: 0, per_group: 64 };

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use glam::{DVec3, IVec3, UVec3};
 use itm_core::voxel::{BEST_OBSERVATION, BLOCK_SIDE, BlockKey, VoxelKind};
-use itm_core::{Calibration, DenseSettings, Intrinsics, MapIndex, Mode, ObservationWeight, Se3, Settings, Swapping};
+use itm_core::{Calibration, DenseSettings, Intrinsics, MapIndex, ObservationWeight, Se3, Settings, Swapping};
 use itm_gpu::changed::Changed;
 use itm_gpu::forward::Forward;
 use itm_gpu::hash::Hash;
@@ -237,7 +237,7 @@ impl Mapper {
             0 if budget_bytes == 0.0 => map.max_capacity(),
             limit => limit.clamp(1, map.max_capacity()),
         };
-        let of_surfels = settings.mode == Mode::Surfels;
+        let of_surfels = settings.mode.has_surfels();
         map.grow(if of_surfels { 1 } else { settings.map.initial_blocks.min(limit) })?;
         let dense = settings.map.index == MapIndex::Dense && !of_surfels;
         if dense {
@@ -484,11 +484,10 @@ impl Mapper {
         model: &mut Model,
         mut times: Vec<StageTimes>,
     ) -> Result<bool, Error> {
-        let Place { submap, submap_from_camera: world_from_camera, colour_from_depth } = at;
         if let Some(surfels) = &mut self.surfels {
-            let at = (self.frames, frame);
-            return surfels.fuse(at, view, world_from_camera, colour_from_depth, &model.image, times);
+            return surfels.fuse((self.frames, frame), view, at, &model.image, times);
         }
+        let Place { submap, submap_from_camera: world_from_camera, colour_from_depth } = at;
         self.map.look_at(*submap);
         let camera = self.calibration.depth;
         let [near_m, far_m] = [self.settings.view.min_depth_m, self.settings.view.max_depth_m];
@@ -585,8 +584,11 @@ impl Mapper {
         self.sweep.is_some() || (self.swapped.is_some() && self.settings.map.swapping == Swapping::Delete)
     }
 
-    /// The submaps that have blocks, wherever those lie. Waits.
+    /// The submaps that have blocks, wherever those lie, or surfels. Waits.
     pub(crate) fn submaps(&mut self) -> Result<BTreeSet<u16>, Error> {
+        if let Some(surfels) = &self.surfels {
+            return surfels.submaps();
+        }
         self.read_moved()?;
         Ok(self.keys()?.map(|key| key.submap).collect())
     }
@@ -790,7 +792,7 @@ impl Mapper {
     /// The same for the pose of a frame that is not fused.
     pub(crate) fn follow(&mut self, submap: u16, model: &mut Model, submap_from_camera: &Se3) -> Result<(), Error> {
         if let Some(surfels) = &self.surfels {
-            surfels.look(&model.image, submap_from_camera);
+            surfels.look(submap, &model.image, submap_from_camera);
             return Ok(());
         }
         let (camera, world_from_camera) = (*model.image.camera(), submap_from_camera);
@@ -813,7 +815,7 @@ impl Mapper {
         model: &mut Model,
         submap_from_camera: &Se3,
     ) -> Result<(), Error> {
-        if self.swapped.as_ref().is_some_and(|swapped| !swapped.store.is_empty()) {
+        if self.surfels.is_some() || self.swapped.as_ref().is_some_and(|swapped| !swapped.store.is_empty()) {
             return self.follow(submap, model, submap_from_camera);
         }
         let camera = *model.image.camera();
@@ -841,7 +843,9 @@ impl Mapper {
     /// The next frame is a submap's first. A dense map's submaps each have the box in their own frame; it may find no room, and
     /// then the map is as it was, and no submap begins any more.
     pub(crate) fn begin_submap(&mut self, submap: u16) -> Result<(), Error> {
-        if self.settings.map.index == MapIndex::Dense {
+        if let Some(surfels) = &mut self.surfels {
+            surfels.begin_submap();
+        } else if self.settings.map.index == MapIndex::Dense {
             let inserted = self.map.insert_empty(&blocks_of_box(submap, &self.settings.map.dense));
             self.may_begin = inserted.is_ok();
             inserted?;
@@ -857,14 +861,20 @@ impl Mapper {
         self.may_begin
     }
 
-    /// Centres of a submap's blocks on the device, in metres, in the order of their indices. Waits.
+    /// Centres of a submap's blocks on the device, in metres, in the order of their indices; of its surfels, where it has those. Waits.
     pub(crate) fn block_centres(&self, submap: u16) -> Result<Vec<DVec3>, Error> {
+        if let Some(surfels) = &self.surfels {
+            return surfels.centres(submap);
+        }
         let keys = self.map.read_keys()?.into_iter().flatten().filter(|key| key.submap == submap);
         Ok(keys.map(|key| self.centre(key)).collect())
     }
 
     /// Centres of all of a submap's blocks in metres, wherever they lie, in the order of their keys. Waits.
     pub(crate) fn all_block_centres(&mut self, submap: u16) -> Result<Vec<DVec3>, Error> {
+        if self.surfels.is_some() {
+            return self.block_centres(submap);
+        }
         self.read_moved()?;
         let keys: BTreeSet<[u32; 2]> = self.keys()?.filter(|key| key.submap == submap).map(BlockKey::pack).collect();
         Ok(keys.into_iter().map(|key| self.centre(BlockKey::unpack(key))).collect())

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use itm_core::surfel::SURFEL_WORDS;
 use itm_core::voxel::BlockKey;
-use itm_core::{MapIndex, Mode, Se3, Settings, SubmapSettings};
+use itm_core::{MapIndex, Se3, Settings, SubmapSettings};
 use itm_gpu::swap::Left;
 use itm_gpu::{Device, HostBlock, MapState, SurfelState};
 use itm_io::map_file::{MapHeader, MapReader, MapWriter, Tag, tag};
@@ -511,9 +511,10 @@ impl Slam {
                 more => Some(more.len().to_string()),
             };
             if let Some(map) = map {
-                let settings = match settings.mode {
-                    Mode::Basic | Mode::Surfels => format!("mode = {:?}", slam.settings.mode.name()),
-                    Mode::LoopClosure => "that poses come from files, which are those of one map".to_owned(),
+                let settings = if settings.mode.has_submaps() {
+                    "that poses come from files, which are those of one map".to_owned()
+                } else {
+                    format!("mode = {:?}", slam.settings.mode.name())
                 };
                 differs("submaps:", map, settings)?;
             }

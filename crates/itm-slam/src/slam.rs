@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use itm_core::{
-    Calibration, ColourImage, Frame, Intrinsics, Mesh, Mode, ObservationWeight, OnFailure, Se3, Settings, StampedPose,
+    Calibration, ColourImage, Frame, Intrinsics, Mesh, ObservationWeight, OnFailure, Se3, Settings, StampedPose,
     Trajectory,
 };
 use itm_gpu::evaluate::Evaluator;
@@ -100,7 +100,7 @@ impl Slam {
             depth_range_m: [settings.view.min_depth_m, settings.view.max_depth_m],
             bilateral_passes: settings.view.bilateral.passes,
             levels: needs.levels,
-            vertices: (settings.mode == Mode::Surfels).then_some(settings.surfels.normal_reach_px),
+            vertices: settings.mode.has_surfels().then_some(settings.surfels.normal_reach_px),
             observation_weights: settings.map.observation_weight == ObservationWeight::Noise || settings.map.confidence,
             colour_levels: needs.lists.iter().flatten().map(|range| range.end).max().unwrap_or(1),
         };
@@ -116,7 +116,7 @@ impl Slam {
             primary: Local::new(device, calibration, &tracker, &needs, 0)?,
             beside: Vec::new(),
             // Poses from elsewhere are those of one map.
-            atlas: (settings.mode == Mode::LoopClosure && poses == Poses::Tracked && !tracker.takes_poses())
+            atlas: (settings.mode.has_submaps() && poses == Poses::Tracked && !tracker.takes_poses())
                 .then(|| Atlas::new(&settings.submaps)),
             next_look: 0,
             needs,
@@ -627,6 +627,10 @@ impl Slam {
     ) -> Result<ColourImage, Error> {
         let scale = Scale { depth_m: [0.0, max_depth_m], confidence: crate::views::full_confidence(&self.settings) };
         let device = self.device.clone();
+        if let Some(surfels) = &self.mapper.surfels {
+            let (image, pixels) = surfels.cast(&self.poses_of_submaps(), camera, world_from_camera, max_depth_m)?;
+            return Ok(self.render.run_surfels(&pixels, &image, world_from_camera, shading, &scale)?);
+        }
         if self.submaps().len() > 1 {
             return self.with_combined(|combined| {
                 let mut views = MapViews::new(&device, combined.layout(), 0, 1)?;
@@ -638,10 +642,6 @@ impl Slam {
             let mut views = MapViews::new(&device, live.layout(), 0, 1)?;
             views.look(&mut live, camera, world_from_camera, max_depth_m)?;
             return views.picture(shading, &scale);
-        }
-        if let Some(surfels) = &self.mapper.surfels {
-            let (image, pixels) = surfels.cast(camera, world_from_camera, max_depth_m)?;
-            return Ok(self.render.run_surfels(&pixels, &image, world_from_camera, shading, &scale)?);
         }
         let image = self.mapper.cast(camera, world_from_camera, max_depth_m)?;
         Ok(self.render.run(&self.mapper.map, &image, world_from_camera, shading, &scale)?)

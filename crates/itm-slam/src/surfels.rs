@@ -1,6 +1,6 @@
 //! A map of surfels: when it grows, and which stages a frame takes.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
 use glam::DVec3;
 use itm_core::surfel::{SURFEL_WORDS, Surfel};
@@ -12,7 +12,7 @@ use itm_gpu::absorb::Absorb;
 use itm_gpu::associate::Associate;
 use itm_gpu::splat::{Drawn, Splat};
 use itm_gpu::{
-    Device, RaycastImage, Recorder, StageTimes, SurfelMap, SurfelOptions, SurfelRecord, SurfelRecordReader,
+    Device, Part, RaycastImage, Recorder, StageTimes, SurfelMap, SurfelOptions, SurfelRecord, SurfelRecordReader,
     SurfelState, SurfelView, View,
 };
 
@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::caster::NEAR_M;
-use crate::mapper::grow_pools;
+use crate::mapper::{Place, grow_pools};
 use crate::slam::{Poses, Slam};
 
 /// A frame's record is consumed at this many frames later, whenever it arrived, so that growth happens at the same frame in
@@ -45,6 +45,10 @@ pub(crate) struct Surfels {
     demand: u32,
     /// Frames fused so far.
     fused: u32,
+    /// Of them those that each submap has, by its number.
+    ages: Vec<u32>,
+    /// Whether the next frame is the first of a submap, which asks for as many surfels as a map's first.
+    beginning: bool,
     /// Surfels that the map may grow to.
     limit: u32,
 }
@@ -74,6 +78,8 @@ pub(crate) struct SurfelsState {
     capacity: u32,
     demand: u32,
     fused: u32,
+    ages: Vec<u32>,
+    beginning: bool,
     waiting: Vec<WaitingState>,
 }
 
@@ -134,6 +140,8 @@ impl Surfels {
             waiting: VecDeque::new(),
             demand: 0,
             fused: 0,
+            ages: Vec::new(),
+            beginning: false,
             limit,
         };
         surfels.map.grow(own.initial.min(limit))?;
@@ -172,13 +180,15 @@ impl Surfels {
             let record = frame.read(&self.device)?.to_words();
             waiting.push(WaitingState { place: frame.place, frame: frame.frame, record });
         }
-        Ok(SurfelsState { capacity: self.map.capacity(), demand: self.demand, fused: self.fused, waiting })
+        let Self { demand, fused, beginning, .. } = *self;
+        Ok(SurfelsState { capacity: self.map.capacity(), demand, fused, ages: self.ages.clone(), beginning, waiting })
     }
 
     /// Takes over what [`Surfels::state`] gave, and the surfels themselves.
     pub(crate) fn set_state(&mut self, state: &SurfelsState, surfels: SurfelState) -> Result<(), Error> {
         self.map.write_state(&SurfelState { capacity: state.capacity, ..surfels })?;
-        (self.demand, self.fused) = (state.demand, state.fused);
+        (self.demand, self.fused, self.beginning) = (state.demand, state.fused, state.beginning);
+        self.ages.clone_from(&state.ages);
         let waiting = state.waiting.iter().map(|frame| Waiting {
             place: frame.place,
             frame: frame.frame,
@@ -195,7 +205,12 @@ impl Surfels {
     pub(crate) fn take_in(&mut self, slots: &[[u32; SURFEL_WORDS]]) -> Result<(), Error> {
         self.map.write_words(slots)?;
         // Their times go on.
-        self.fused = slots.iter().filter_map(|words| Surfel::from_words(*words)).map(|s| s.seen).max().unwrap_or(0);
+        for surfel in slots.iter().filter_map(|words| Surfel::from_words(*words)) {
+            let submap = usize::from(surfel.submap);
+            self.ages.resize(self.ages.len().max(submap + 1), 0);
+            self.ages[submap] = self.ages[submap].max(surfel.seen);
+        }
+        self.fused = self.ages.iter().fold(0, |sum, age| sum.saturating_add(*age));
         Ok(())
     }
 
@@ -205,48 +220,79 @@ impl Surfels {
         grow_pools("surfels", needed, capacity, &mut self.limit, |wanted| self.map.grow(wanted))
     }
 
-    fn options<'a>(settings: &'a Settings, frame: u32, world_from_camera: &'a Se3) -> SurfelOptions<'a> {
-        let far_m = settings.view.max_depth_m * 1.05;
-        SurfelOptions { settings: &settings.surfels, depth_range_m: [NEAR_M, far_m], frame, world_from_camera }
+    /// The next frame is a submap's first.
+    pub(crate) fn begin_submap(&mut self) {
+        self.beginning = true;
+    }
+
+    /// The submaps that have surfels. Waits.
+    pub(crate) fn submaps(&self) -> Result<BTreeSet<u16>, Error> {
+        Ok(self.map.read()?.into_iter().map(|surfel| surfel.submap).collect())
+    }
+
+    /// Where a submap's surfels lie, in metres, in its frame. Waits.
+    pub(crate) fn centres(&self, submap: u16) -> Result<Vec<DVec3>, Error> {
+        let surfels = self.map.read()?.into_iter().filter(|surfel| surfel.submap == submap);
+        Ok(surfels.map(|surfel| surfel.position.as_dvec3()).collect())
+    }
+
+    /// How a submap's surfels are looked at.
+    fn options<'a>(&'a self, submap: u16, submap_from_camera: &'a Se3) -> SurfelOptions<'a> {
+        let far_m = self.settings.view.max_depth_m * 1.05;
+        SurfelOptions {
+            settings: &self.settings.surfels,
+            depth_range_m: [NEAR_M, far_m],
+            frame: self.age(submap),
+            world_from_camera: submap_from_camera,
+            // A map that is not divided is looked at as a whole, which takes less.
+            part: if self.ages.len() > 1 { Part::Submap(submap) } else { Part::Whole },
+        }
+    }
+
+    /// Frames fused into a submap. They are its surfels' time: while frames are fused elsewhere nothing there grows old.
+    fn age(&self, submap: u16) -> u32 {
+        self.ages.get(usize::from(submap)).copied().unwrap_or(0)
     }
 
     /// Which surfels are tracked against: those that are known well enough, and others where there are none of those, as where a fast
     /// camera has just got to.
-    fn tracked(&self) -> Drawn {
+    fn tracked(&self, submap: u16) -> Drawn {
         let own = &self.settings.surfels;
-        Drawn { least: 0.0, preferred: if self.fused <= own.all_for { 0.0 } else { own.track_from }, reach: own.reach }
+        Drawn { least: 0.0, preferred: if self.age(submap) <= own.all_for { 0.0 } else { own.track_from }, reach: own.reach }
     }
 
-    /// Fuses a view, and draws what the camera sees into `image` for the next frame's tracking. Returns whether there is a map:
-    /// a view without depth cannot begin one.
+    /// Fuses a view into a submap, and draws what the camera sees of it into `image` for the next frame's tracking. Returns whether
+    /// there is a map: a view without depth cannot begin one.
     pub(crate) fn fuse(
         &mut self,
         at: (u64, u64),
         view: &View,
-        world_from_camera: &Se3,
-        colour_from_depth: &Se3,
+        place: &Place,
         image: &RaycastImage,
         mut times: Vec<StageTimes>,
     ) -> Result<bool, Error> {
-        if self.fused == 0 {
+        let Place { submap, submap_from_camera, colour_from_depth } = place;
+        if self.fused == 0 || self.beginning {
             let measured = view.read_depth(&self.device, 0)?.data().iter().filter(|z| **z > 0.0).count() as u32;
             if measured == 0 {
                 return Ok(false);
             }
+            self.beginning = false;
             // Most of them become surfels, and the next frames want some room too.
-            self.make_room(measured.saturating_mul(2))?;
+            self.make_room(self.map.read_record()?.used.saturating_add(measured.saturating_mul(2)))?;
         }
         self.fused += 1;
+        self.ages.resize(self.ages.len().max(usize::from(*submap) + 1), 0);
+        self.ages[usize::from(*submap)] += 1;
         let mut recorder = Recorder::timed(&self.device);
-        let options = Self::options(&self.settings, self.fused, world_from_camera);
+        let options = self.options(*submap, submap_from_camera);
         let calibration = Calibration { colour_from_depth: *colour_from_depth, ..self.calibration };
         self.associate.record(&mut recorder, &self.map, view, &self.pixels, &calibration, &options);
         self.absorb.record(&mut recorder, &self.map, view, &self.pixels, &options);
         if self.fused.is_multiple_of(FREE_EVERY) {
             self.absorb.record_free(&mut recorder, &self.map, &self.pixels);
         }
-        let tracked = self.tracked();
-        self.splat.record(&mut recorder, &self.map, &self.pixels, image, &options, tracked);
+        self.splat.record(&mut recorder, &self.map, &self.pixels, image, &options, self.tracked(*submap));
         let found = Found::OnDevice(self.map.record_counters(&mut recorder));
         times.push(recorder.submit());
         let (place, frame) = at;
@@ -254,23 +300,24 @@ impl Surfels {
         Ok(true)
     }
 
-    /// Draws what the camera sees from a pose, for tracking.
-    pub(crate) fn look(&self, image: &RaycastImage, world_from_camera: &Se3) {
+    /// Draws what the camera sees of a submap from a pose, for tracking.
+    pub(crate) fn look(&self, submap: u16, image: &RaycastImage, submap_from_camera: &Se3) {
         let mut recorder = Recorder::new(&self.device);
-        let options = Self::options(&self.settings, self.fused, world_from_camera);
+        let (options, tracked) = (self.options(submap, submap_from_camera), self.tracked(submap));
         if image.camera() == &self.calibration.depth {
-            self.splat.record(&mut recorder, &self.map, &self.pixels, image, &options, self.tracked());
+            self.splat.record(&mut recorder, &self.map, &self.pixels, image, &options, tracked);
         } else {
             let pixels = SurfelView::new(&self.device, *image.camera());
-            self.splat.record(&mut recorder, &self.map, &pixels, image, &options, self.tracked());
+            self.splat.record(&mut recorder, &self.map, &pixels, image, &options, tracked);
         }
         let _untimed = recorder.submit();
     }
 
     /// What a camera sees of the stable surfels from a pose, up to a depth in metres (of all, while the map is young), with what its
-    /// pixels know of colours.
+    /// pixels know of colours. `poses` are where the submaps lie in the world, if there are any.
     pub(crate) fn cast(
         &self,
+        poses: &[Se3],
         camera: &Intrinsics,
         world_from_camera: &Se3,
         max_depth_m: f32,
@@ -278,8 +325,9 @@ impl Surfels {
         let image = RaycastImage::new(&self.device, *camera)?;
         let pixels = SurfelView::new(&self.device, *camera);
         let mut recorder = Recorder::new(&self.device);
-        let seen = Self::options(&self.settings, self.fused, world_from_camera);
-        let options = SurfelOptions { depth_range_m: [NEAR_M, max_depth_m], ..seen };
+        let seen = self.options(0, world_from_camera);
+        let part = if poses.is_empty() { Part::Whole } else { Part::Combined(poses) };
+        let options = SurfelOptions { depth_range_m: [NEAR_M, max_depth_m], part, ..seen };
         let least = self.least_shown();
         self.splat.record(
             &mut recorder,
@@ -310,13 +358,27 @@ const VIEW_EVERY_M: f64 = 0.15;
 const VIEW_EVERY_RAD: f64 = 0.2;
 
 impl Slam {
-    /// The stable surfels (all, while the map is young), as points: world frame, metres; weights are confidences. Waits. None
-    /// where the map is one of voxels.
+    /// The stable surfels (all, while the map is young), in the world's frame. Waits. None where the map is one of voxels.
     ///
     /// # Errors
     /// Where the device was lost.
     pub fn surfels(&self) -> Result<Vec<Surfel>, Error> {
-        self.mapper.surfels.as_ref().map_or_else(|| Ok(Vec::new()), Surfels::stable)
+        let Some(surfels) = &self.mapper.surfels else { return Ok(Vec::new()) };
+        let poses = self.poses_of_submaps();
+        let in_world = |surfel: Surfel| match poses.get(usize::from(surfel.submap)) {
+            Some(pose) => Surfel {
+                position: pose.transform_point(surfel.position.as_dvec3()).as_vec3(),
+                normal: pose.transform_vector(surfel.normal.as_dvec3()).as_vec3(),
+                ..surfel
+            },
+            None => surfel,
+        };
+        Ok(surfels.stable()?.into_iter().map(in_world).collect())
+    }
+
+    /// Where each submap lies in the world, by its number; empty where the map is one.
+    pub(crate) fn poses_of_submaps(&self) -> Vec<Se3> {
+        self.submaps().iter().map(|submap| submap.world_from_submap).collect()
     }
 
     /// A mesh of the surfels: what the camera would see of them along its way, fused into voxels of `map.voxel_size_m`.
@@ -330,8 +392,9 @@ impl Slam {
         let camera = self.calibration.depth;
         let calibration = Calibration::registered(camera, DepthConversion::MILLIMETRES);
         let mut fusion = Slam::new(&self.device, &calibration, &settings, Poses::Given)?;
+        let submaps = self.poses_of_submaps();
         let mut views: Vec<Se3> = Vec::new();
-        for pose in self.trajectory.poses() {
+        for pose in self.corrected_trajectory().poses() {
             let pose = pose.world_from_camera;
             let far = views.last().is_none_or(|last| {
                 let off = last.inverse() * pose;
@@ -344,7 +407,7 @@ impl Slam {
         let count = u32::try_from(views.len()).unwrap_or(u32::MAX);
         for (index, pose) in (0..).zip(views) {
             progress(index, count);
-            let (image, pixels) = surfels.cast(&camera, &pose, self.settings.view.max_depth_m)?;
+            let (image, pixels) = surfels.cast(&submaps, &camera, &pose, self.settings.view.max_depth_m)?;
             let camera_from_world = pose.inverse();
             let depth_at = |[x, y, z, seen]: &[f32; 4]| match *seen {
                 0.0 => 0.0,

@@ -55,6 +55,8 @@ pub enum Mode {
     LoopClosure,
     /// One map of surfels, discs on surfaces, in place of voxels; see `surfels`.
     Surfels,
+    /// Many submaps of surfels.
+    SurfelsLoopClosure,
 }
 
 impl Mode {
@@ -64,7 +66,18 @@ impl Mode {
             Self::Basic => "basic",
             Self::LoopClosure => "loop-closure",
             Self::Surfels => "surfels",
+            Self::SurfelsLoopClosure => "surfels-loop-closure",
         }
+    }
+
+    /// Whether maps are made of surfels, and not of voxels.
+    pub const fn has_surfels(self) -> bool {
+        matches!(self, Self::Surfels | Self::SurfelsLoopClosure)
+    }
+
+    /// Whether maps are divided into submaps, and loops closed.
+    pub const fn has_submaps(self) -> bool {
+        matches!(self, Self::LoopClosure | Self::SurfelsLoopClosure)
     }
 }
 
@@ -443,15 +456,15 @@ impl Settings {
         submaps.validate()?;
         surfels.validate()?;
         check(
-            self.mode != Mode::Surfels || !tracker.extended.use_map_colour,
+            !self.mode.has_surfels() || !tracker.extended.use_map_colour,
             "tracker.extended.use_map_colour",
-            "false where mode is surfels: colours are compared with those of voxels",
+            "false where maps are made of surfels: colours are compared with those of voxels",
             tracker.extended.use_map_colour,
         )?;
         check(
-            self.mode != Mode::Surfels || !tracker.forward_projection.enabled,
+            !self.mode.has_surfels() || !tracker.forward_projection.enabled,
             "tracker.forward_projection.enabled",
-            "false where mode is surfels: there are no rays to save",
+            "false where maps are made of surfels: there are no rays to save",
             tracker.forward_projection.enabled,
         )
     }

@@ -98,6 +98,7 @@ pub fn absorbed(
         position: point.as_vec3(),
         normal: normal.normalize().as_vec3(),
         radius_m: radius_m as f32,
+        submap: before.submap,
         confidence: confidence.min(settings.max_confidence.into()) as f32,
         seen: measured.frame,
         colour: before.colour,
@@ -145,11 +146,12 @@ fn neighbours(camera: &Intrinsics, pixel: usize) -> impl Iterator<Item = usize> 
 }
 
 /// The surfel that a sample becomes (section 4.1).
-pub fn surfel_of(sample: &Sample, colour: Option<[u8; 3]>, frame: u32) -> Surfel {
+pub fn surfel_of(sample: &Sample, colour: Option<[u8; 3]>, submap: u16, frame: u32) -> Surfel {
     Surfel {
         position: sample.point.as_vec3(),
         normal: sample.normal.as_vec3(),
         radius_m: sample.radius_m as f32,
+        submap,
         confidence: sample.confidence as f32,
         seen: frame,
         colour,
@@ -189,7 +191,7 @@ mod tests {
         let middle = sample(&measured, 2).unwrap();
         assert_eq!((middle.point, middle.confidence), (DVec3::Z, 1.0));
         assert!((middle.radius_m - 0.0707).abs() < 1e-4);
-        let surfel = surfel_of(&middle, None, 1);
+        let surfel = surfel_of(&middle, None, 0, 1);
         let before = Surfel { position: Vec3::new(0.0, 0.0, 1.004), confidence: 3.0, radius_m: 0.12, ..surfel };
         let slots = [Some(before)];
         let association = associate(&slots, &measured);

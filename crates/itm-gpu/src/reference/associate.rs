@@ -138,7 +138,7 @@ pub fn colour_of(vertex: DVec3, image: &ColourImage, calibration: &Calibration, 
 }
 
 /// Largest difference in depth, in metres, between a measurement at a depth and its surfel.
-pub(crate) fn window(settings: &SurfelSettings, z: f64) -> f64 {
+pub fn window(settings: &SurfelSettings, z: f64) -> f64 {
     f64::from(settings.window_m) + f64::from(settings.window_deviations) * depth_deviation(z)
 }
 
@@ -176,7 +176,7 @@ mod tests {
     /// A surfel straight ahead, facing the camera.
     fn surfel(z: f32, confidence: f32, seen: u32) -> Option<Surfel> {
         let position = Vec3::new(0.0, 0.0, z);
-        Some(Surfel { position, normal: Vec3::NEG_Z, radius_m: 0.01, confidence, seen, colour: None })
+        Some(Surfel { position, normal: Vec3::NEG_Z, radius_m: 0.01, submap: 0, confidence, seen, colour: None })
     }
 
     #[test]

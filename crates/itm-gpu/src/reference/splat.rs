@@ -5,6 +5,7 @@ use glam::{DVec2, DVec3};
 use itm_core::surfel::{Surfel, confidence_rank};
 use itm_core::{Image, Intrinsics, Se3, SurfelSettings};
 
+use crate::reference::associate::window;
 use crate::splat::Drawn;
 
 /// Discs seen at less than this cosine from their side are not shown.
@@ -68,7 +69,7 @@ pub fn splat(slots: &[Option<Surfel>], look: &Look<'_>) -> Image<Option<(usize, 
         }
         let nearest = met.iter().map(|(_, z)| *z).reduce(f64::min)?;
         let rank = |i: usize| slots[i].map_or(0, |surfel| confidence_rank(surfel.confidence));
-        met.retain(|(_, z)| *z <= nearest + f64::from(look.settings.window_m));
+        met.retain(|(_, z)| *z <= nearest + window(look.settings, nearest));
         met.into_iter().rev().max_by_key(|(i, _)| rank(*i))
     })
 }
@@ -97,7 +98,7 @@ mod tests {
         };
         let surfel = |z: f32, confidence: f32| {
             let position = Vec3::new(0.0, 0.0, z);
-            Some(Surfel { position, normal: Vec3::NEG_Z, radius_m: 0.12, confidence, seen: 1, colour: None })
+            Some(Surfel { position, normal: Vec3::NEG_Z, radius_m: 0.12, submap: 0, confidence, seen: 1, colour: None })
         };
         let hidden = surfel(1.5, 9.0);
         let turned_away = surfel(0.7, 9.0).map(|s| Surfel { normal: Vec3::Z, ..s });
