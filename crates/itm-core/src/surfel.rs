@@ -33,7 +33,16 @@ impl Surfel {
     pub fn to_words(&self) -> [u32; SURFEL_WORDS] {
         let [x, y, z] = self.position.to_array().map(f32::to_bits);
         let colour = self.colour.map_or(0, |[r, g, b]| u32::from_le_bytes([r, g, b, 1]));
-        [x, y, z, self.confidence.to_bits(), pack_normal(self.normal), pack_size(self.radius_m, self.submap), self.seen, colour]
+        [
+            x,
+            y,
+            z,
+            self.confidence.to_bits(),
+            pack_normal(self.normal),
+            pack_size(self.radius_m, self.submap),
+            self.seen,
+            colour,
+        ]
     }
 
     /// The inverse of [`Surfel::to_words`]; `None` for a slot without a surfel.

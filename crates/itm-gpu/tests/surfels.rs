@@ -19,7 +19,9 @@ use itm_gpu::reference::associate::{Association, Measured, Role};
 use itm_gpu::reference::splat::Look;
 use itm_gpu::splat::{Drawn, Splat};
 use itm_gpu::view::ViewOptions;
-use itm_gpu::{Device, Part, RaycastImage, Recorder, SurfelMap, SurfelOptions, SurfelRecord, SurfelView, View, reference};
+use itm_gpu::{
+    Device, Part, RaycastImage, Recorder, SurfelMap, SurfelOptions, SurfelRecord, SurfelView, View, reference,
+};
 use proptest::prelude::*;
 
 type Words = [u32; SURFEL_WORDS];
@@ -101,7 +103,13 @@ impl<'a> Fusion<'a> {
     }
 
     fn options<'b>(&'b self, world_from_camera: &'b Se3) -> SurfelOptions<'b> {
-        SurfelOptions { world_from_camera, settings: &self.settings, depth_range_m: RANGE_M, frame: self.frame, part: Part::Whole }
+        SurfelOptions {
+            world_from_camera,
+            settings: &self.settings,
+            depth_range_m: RANGE_M,
+            frame: self.frame,
+            part: Part::Whole,
+        }
     }
 
     /// Fuses what was seen last.
@@ -620,6 +628,86 @@ fn a_map_keeps_everything_as_it_grows() {
     assert!(fusion.words() == other.words());
     fusion.map.grow(1).unwrap();
     assert_eq!(fusion.map.capacity(), 3 * capacity, "it does not shrink");
+}
+
+#[test]
+fn submaps_are_seen_one_by_one_and_together_as_they_lie() {
+    let Some(stages) = gpu() else { return };
+    let camera = common::camera(40, 30);
+    let pose = Se3::exp([0.05, -0.02, 0.1, 0.02, 0.1, -0.03]);
+    let moved = Se3::exp([0.4, -0.3, 0.2, 0.5, -0.2, 0.3]);
+    let mut noise = Noise(3);
+    let words = random_slots(&mut noise, &camera, &pose, 2000, 40);
+    let mut fusion = Fusion::new(stages, common::one_camera(camera), 32);
+    fusion.map.write_words(&words).unwrap();
+    let whole = fusion.splat(camera, &pose, ALL);
+
+    // Every other one in another frame.
+    let in_submaps: Vec<Words> = (0..)
+        .zip(&words)
+        .map(|(i, words)| match Surfel::from_words(*words) {
+            Some(surfel) if i % 2 == 1 => {
+                let submap_from_world = moved.inverse();
+                let position = submap_from_world.transform_point(surfel.position.as_dvec3()).as_vec3();
+                let normal = submap_from_world.transform_vector(surfel.normal.as_dvec3()).as_vec3();
+                let moved = Surfel { position, normal, submap: 1, ..surfel }.to_words();
+                [moved[0], moved[1], moved[2], moved[3], moved[4], moved[5], moved[6], words[7]]
+            }
+            _ => *words,
+        })
+        .collect();
+    fusion.map.write_words(&in_submaps).unwrap();
+    let look = |part| {
+        let device = &fusion.gpu.device;
+        let (image, pixels) = (RaycastImage::new(device, camera).unwrap(), SurfelView::new(device, camera));
+        let mut recorder = Recorder::new(device);
+        let pose = if part == Part::Submap(1) { moved.inverse() * pose } else { pose };
+        let options = SurfelOptions { part, ..fusion.options(&pose) };
+        fusion.stages.splat.record(&mut recorder, &fusion.map, &pixels, &image, &options, ALL);
+        let _untimed = recorder.submit();
+        (image.read_points(device).unwrap(), image.read_normals(device).unwrap(), pixels.read_colours(device).unwrap())
+    };
+    let poses = [Se3::IDENTITY, moved];
+    let together = look(Part::Combined(&poses));
+    let differ = (0..camera.pixels()).filter(|i| {
+        let (a, b) = (whole.0.data()[*i], together.0.data()[*i]);
+        let off = (0..4).map(|k| (a[k] - b[k]).abs()).fold(0.0, f32::max);
+        off > 1e-4 || whole.2.data()[*i] != together.2.data()[*i]
+    });
+    // Where roundings decide what is seen.
+    let differ = differ.count();
+    assert!(differ < camera.pixels() / 50, "{differ} pixels differ");
+    for submap in [0, 1] {
+        let alone = look(Part::Submap(submap));
+        let own = |words: &Words| Surfel::from_words(*words).is_some_and(|surfel| surfel.submap == submap);
+        let kept: Vec<Words> = in_submaps.iter().map(|words| if own(words) { *words } else { [0; 8] }).collect();
+        let mut only = Fusion::new(stages, common::one_camera(camera), 32);
+        only.map.write_words(&kept).unwrap();
+        let pose = if submap == 1 { moved.inverse() * pose } else { pose };
+        assert!(only.splat(camera, &pose, ALL) == alone, "submap {submap}");
+        assert!(alone.0.data().iter().filter(|point| point[3] > 0.0).count() > camera.pixels() / 2);
+    }
+
+    // What is fused into one leaves the other alone, and new surfels belong to it.
+    fusion.frame = 100;
+    fusion.see(scene().depth(&camera, &pose), None);
+    let mut recorder = Recorder::new(&fusion.gpu.device);
+    let in_submap = moved.inverse() * pose;
+    fusion.map.grow(4000).unwrap();
+    let options = SurfelOptions { part: Part::Submap(1), ..fusion.options(&in_submap) };
+    let Fusion { stages, map, view, pixels, calibration, .. } = &fusion;
+    stages.associate.record(&mut recorder, map, view, pixels, calibration, &options);
+    stages.absorb.record(&mut recorder, map, view, pixels, &options);
+    let _untimed = recorder.submit();
+    let after = fusion.words();
+    for (i, (before, after)) in in_submaps.iter().zip(&after).enumerate() {
+        match Surfel::from_words(*before) {
+            Some(surfel) if surfel.submap == 0 => assert_eq!(before, after, "slot {i}"),
+            Some(_) | None => {}
+        }
+    }
+    let new: Vec<Surfel> = after[in_submaps.len()..].iter().filter_map(|words| Surfel::from_words(*words)).collect();
+    assert!(new.len() > 20 && new.iter().all(|surfel| surfel.submap == 1 && surfel.seen == fusion.frame));
 }
 
 #[test]

@@ -258,7 +258,11 @@ impl Surfels {
     /// camera has just got to.
     fn tracked(&self, submap: u16) -> Drawn {
         let own = &self.settings.surfels;
-        Drawn { least: 0.0, preferred: if self.age(submap) <= own.all_for { 0.0 } else { own.track_from }, reach: own.reach }
+        Drawn {
+            least: 0.0,
+            preferred: if self.age(submap) <= own.all_for { 0.0 } else { own.track_from },
+            reach: own.reach,
+        }
     }
 
     /// Fuses a view into a submap, and draws what the camera sees of it into `image` for the next frame's tracking. Returns whether
