@@ -150,7 +150,7 @@ pub enum Error {
         reason: String,
     },
     /// An MCAP file in which no topic fits, or several do.
-    #[error("'{}': {problem}{}; {advice}", path.display(), as_lines(candidates))]
+    #[error("'{}': {problem}{}{advice}", path.display(), as_lines(candidates))]
     Topics {
         /// The file.
         path: PathBuf,
@@ -331,9 +331,9 @@ pub enum Error {
     },
 }
 
-/// A list with a line for each, behind a colon; nothing of nothing.
+/// A list between two texts, with a line for each.
 fn as_lines(items: &[String]) -> String {
-    if items.is_empty() { String::new() } else { format!(":\n  {}\n", items.join("\n  ")) }
+    if items.is_empty() { "; ".into() } else { format!(":\n  {}\n", items.join("\n  ")) }
 }
 
 impl Error {

@@ -97,7 +97,7 @@ impl FromStr for Format {
 pub struct OpenOptions {
     /// Its format; recognised from the folder if `None`.
     pub format: Option<Format>,
-    /// A calibration file that wins over the folder's own and over presets.
+    /// A calibration file that wins over the folder's own, over presets and over messages.
     pub calibration: Option<PathBuf>,
     /// Depth images, relative to the folder: `depth/%06d.pgm` or `depth_*.png`, with one number or `*` in the last
     /// part. Makes the recording an image folder unless `format` says otherwise.
@@ -185,7 +185,12 @@ pub trait Recording: Send {
     }
 }
 
-/// Opens a recording, and recognises its format from the folder unless `options` name it.
+/// Whether a file, by its name or its first bytes, is one that is a recording by itself.
+pub fn is_file_of_recording(path: &Path) -> bool {
+    path.is_file() && mcap::recognised(path)
+}
+
+/// Opens a recording, a folder or an MCAP file, and recognises its format unless `options` name it.
 ///
 /// Images are not decoded yet, but headers are read until one image of each kind is found that will do.
 ///
@@ -193,7 +198,8 @@ pub trait Recording: Send {
 /// Where the folder is missing or of no known format, its lists or calibration cannot be read, or none of its images
 /// can be used.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<Box<dyn Recording>, Error> {
-    if path.is_file() && options.format.map_or_else(|| mcap::recognised(path), |format| format == Format::Mcap) {
+    let as_mcap = options.format.map_or_else(|| mcap::recognised(path), |format| format == Format::Mcap);
+    if path.is_file() && as_mcap {
         return open_mcap(path, None, options);
     }
     let folder = Folder::list(path)?;

@@ -265,3 +265,98 @@ impl CameraInfo {
         Ok(lens)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const KINDS: [Kind; 15] = [
+        Kind::RosImage,
+        Kind::RosCompressedImage,
+        Kind::RosCameraInfo,
+        Kind::RosTransforms,
+        Kind::RosTransform,
+        Kind::RosPose,
+        Kind::RosOdometry,
+        Kind::RosInertial,
+        Kind::FoxgloveRawImage,
+        Kind::FoxgloveCompressedImage,
+        Kind::FoxgloveCameraCalibration,
+        Kind::FoxglovePose,
+        Kind::FoxgloveOdometry,
+        Kind::FoxgloveTransform,
+        Kind::FoxgloveTransforms,
+    ];
+
+    /// Reads a message in every way; what comes of it does not matter.
+    fn read_all(message: &[u8]) {
+        for kind in KINDS {
+            let _stamp = kind.image_stamp(message);
+            let _stamp = kind.stamp_of_image(message);
+            if let Ok(image) = kind.image(message) {
+                let _sample = crate::recording::mcap::pixels::Sample::of(&image);
+                let _depth = crate::recording::mcap::pixels::depth(&image, (3, 2));
+                let _colour = crate::recording::mcap::pixels::colour(&image, (3, 2));
+            }
+            if let Ok(camera) = kind.camera(message) {
+                let _camera = camera.camera((3, 2), false);
+            }
+            let _transforms = kind.transforms(message);
+            let _reading = cdr::inertial(message);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_are_too_bad_to_be_read(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+            read_all(&bytes);
+        }
+
+        #[test]
+        fn no_message_of_cdr_is_too_bad_to_be_read(
+            kind in prop::sample::select(vec![0_u8, 1, 6, 7]),
+            bytes in prop::collection::vec(prop_oneof![4 => Just(0_u8), 2 => 0..9_u8, 1 => any::<u8>()], 0..600),
+        ) {
+            read_all(&[&[0, kind, 0, 0], bytes.as_slice()].concat());
+        }
+
+        #[test]
+        fn stamps_of_foxglove_come_back(ns in any::<i64>()) {
+            let pose = foxglove::PoseInFrame::new(Timestamp(ns), "world", &Se3::IDENTITY);
+            let message = prost::Message::encode_to_vec(&pose);
+            prop_assert_eq!(foxglove::stamp_at_start(&message), Some(Timestamp(ns)));
+            prop_assert_eq!(foxglove::pose(&message).map(|pose| pose.stamp), Ok(Timestamp(ns)));
+        }
+    }
+
+    #[test]
+    fn a_unit_quaternion_keeps_its_bits_and_others_become_one() {
+        let unit = DQuat::from_xyzw(0.1, 0.2, 0.3, 0.9).normalize();
+        assert_eq!(rigid(unit, DVec3::X).map(|pose| pose.rotation), Ok(unit));
+        let near = rigid(unit * 1.001, DVec3::X).unwrap();
+        assert!((near.rotation.length() - 1.0).abs() < 1e-15);
+        assert!(rigid(DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), DVec3::X).is_err());
+        assert!(rigid(unit, DVec3::NAN).is_err());
+    }
+
+    #[test]
+    fn rectified_images_have_the_projection_of_their_own() {
+        let mut p = [0.0; 12];
+        [p[0], p[2], p[5], p[6]] = [40.0, 8.0, 41.0, 6.0];
+        let info = CameraInfo {
+            frame: "camera".into(),
+            width: 16,
+            height: 12,
+            model: "plumb_bob".into(),
+            lens: vec![0.1; 5],
+            k: [20.0, 0.0, 7.5, 0.0, 21.0, 5.5, 0.0, 0.0, 1.0],
+            p,
+            binning: (0, 0),
+            region: Region::default(),
+        };
+        assert_eq!(info.camera((16, 12), true), Ok((Intrinsics::new(16, 12, 40.0, 41.0, 8.0, 6.0), Distortion::None)));
+        let (camera, lens) = info.camera((16, 12), false).unwrap();
+        assert_eq!((camera.fx, lens), (20.0, Distortion::brown([0.1; 5])));
+    }
+}
