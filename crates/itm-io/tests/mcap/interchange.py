@@ -250,20 +250,22 @@ def write_foxglove(path):
     from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
     from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
     from google.protobuf.timestamp_pb2 import Timestamp
-    from mcap.writer import Writer as Mcap
-    from mcap_protobuf.writer import Writer
+    from mcap.writer import Writer
+    from mcap_protobuf.schema import register_schema
 
     with open(path, "wb") as file:
-        # The libraries' writer of protobuf makes chunks; its lowest layer need not.
-        writer = Writer(file)
-        writer._writer = Mcap(file, use_chunking=False)
-        writer._writer.start()
+        writer = Writer(file, use_chunking=False)
+        writer.start()
+        channels = {}
         for frame in range(FRAMES):
             ns = time_of(frame)
             stamp = Timestamp(seconds=ns // 10**9, nanos=ns % 10**9)
 
             def put(topic, message):
-                writer.write_message(topic=topic, message=message, log_time=ns, publish_time=ns)
+                if topic not in channels:
+                    schema = register_schema(writer, type(message))
+                    channels[topic] = writer.register_channel(topic, "protobuf", schema)
+                writer.add_message(channels[topic], ns, message.SerializeToString(), ns)
 
             metres = (depth(frame).astype(np.float32) / 1000).astype("<f4")
             put("/depth", RawImage(timestamp=stamp, frame_id="depth", width=W, height=H, encoding="32FC1", step=4 * W,

@@ -137,7 +137,8 @@ fn a_file_that_is_cut_off_is_read_up_to_there() {
             });
             counts.push(frames);
         }
-        assert!(counts.is_sorted(), "{name}: {counts:?}");
+        // A first colour image may come before its camera's calibration.
+        assert!(counts.iter().skip_while(|&&frames| frames < 2).is_sorted(), "{name}: {counts:?}");
         assert_eq!(counts.last(), Some(&FRAMES));
         // What is left of a compressed chunk is read by whole blocks; messages in the file itself one by one.
         let met = (0..=FRAMES).filter(|n| counts.contains(n)).count();

@@ -79,8 +79,9 @@ impl Frames {
         }
         for edge in frames.edges.values_mut() {
             edge.samples.sort_by_key(|&(stamp, _)| stamp);
-            // What was said once holds from then on, and there is nothing to say what was before.
-            edge.fixed |= edge.samples.len() == 1;
+            // What was said once holds from then on, and there is nothing to say what was before. Foxglove's transforms have no
+            // word for what is fixed, so that it is said again and again.
+            edge.fixed |= edge.samples.windows(2).all(|pair| pair[0].1 == pair[1].1);
         }
         frames
     }
@@ -166,7 +167,7 @@ mod tests {
         let all = moving.iter().map(|t| (false, t)).chain(fixed.iter().map(|t| (true, t)));
         let frames = Frames::new(all);
         assert_eq!(frames.moving_root("depth"), Some("map"));
-        let at = |ms| frames.a_from_b("map", "depth", Timestamp(ms * 1_000_000));
+        let at = |ms: i64| frames.a_from_b("map", "depth", Timestamp(ms * 1_000_000));
         let origin = |pose: Se3| pose.transform_point(DVec3::ZERO);
         assert!(origin(at(50).unwrap()).abs_diff_eq(DVec3::new(2.5, 0.0, 0.0), 1e-12));
         // Its x axis is the map's y axis.
@@ -185,6 +186,10 @@ mod tests {
         let frames = Frames::new([(false, &only)]);
         assert_eq!(frames.a_from_b("colour", "depth", Timestamp(9)), Some(only.parent_from_child));
         assert_eq!(frames.moving_root("depth"), None);
+        let again = step("colour", "depth", 900, 0.1, 0.3);
+        let frames = Frames::new([(false, &only), (false, &again)]);
+        assert_eq!(frames.a_from_b("colour", "depth", Timestamp(7)), Some(only.parent_from_child));
+        assert_eq!(frames.moving_root("depth"), None);
         let circle = [step("a", "b", 0, 0.1, 0.0), step("b", "a", 0, 0.1, 0.0), step("c", "a", 5, 1.0, 0.0)];
         let frames = Frames::new(circle.iter().map(|t| (false, t)));
         assert_eq!(frames.with_two_parents, ["a"]);
@@ -195,7 +200,7 @@ mod tests {
     fn long_gaps_have_no_pose_in_their_middle() {
         let frames = [step("w", "c", 0, 0.0, 0.0), step("w", "c", 1000, 1.0, 0.0)];
         let frames = Frames::new(frames.iter().map(|t| (false, t)));
-        let at = |ms| frames.a_from_b("w", "c", Timestamp(ms * 1_000_000)).is_some();
+        let at = |ms: i64| frames.a_from_b("w", "c", Timestamp(ms * 1_000_000)).is_some();
         assert!(at(0) && at(15) && at(990) && at(1000));
         assert!(!at(500));
     }
