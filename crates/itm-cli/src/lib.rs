@@ -37,7 +37,7 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     Run(Box<run::Arguments>),
-    Convert(convert::Arguments),
+    Convert(Box<convert::Arguments>),
     Eval(eval::Arguments),
     Info(info::Arguments),
     Mesh(mesh::Arguments),

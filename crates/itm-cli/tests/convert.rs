@@ -50,7 +50,7 @@ fn a_run_over_the_converted_recording_makes_the_same_bytes() {
     assert_eq!((&summary["frames"], &summary["skipped"]), (&12.into(), &0.into()));
     let run = |recording: &str, out: &str, more: &[&str]| {
         let coarse = ["--set", "map.voxel_size_m=0.02", "--set", "map.truncation_m=0.08", "--quiet"];
-        succeed(itm(folder.path(), &[&["run", recording, "-o", out], &coarse[..], more].concat()));
+        succeed(itm(folder.path(), &[&["run", recording, "-o", out][..], &coarse, more].concat()));
     };
     run("room", "a", &[]);
     run("room.mcap", "b", &[]);

@@ -2,6 +2,7 @@
 //! by message, what can be wrong with one, and the way there and back.
 #![allow(
     clippy::unwrap_used,
+    clippy::print_stdout,
     reason = "the exemption of tests does not reach the helpers of a test that is a crate of its own"
 )]
 

@@ -175,3 +175,34 @@ fn a_file_that_is_given_up_leaves_nothing() {
     assert_eq!(fs::read_dir(&target).unwrap().count(), 0);
     assert!(McapWriter::create(&folder.path().join("nowhere/copy.mcap"), tum.info()).is_err());
 }
+
+#[test]
+fn real_recordings_come_back_as_they_were() {
+    let Some(data) = std::env::var_os("ITM_TEST_DATA") else {
+        println!("skipped: ITM_TEST_DATA names no folder of real recordings");
+        return;
+    };
+    for name in ["tum_fr1_rpy_head", "icl_lr_kt2_head", "7scenes_redkitchen_head"] {
+        const FRAMES: usize = 4;
+        let mut real = recording::open(&Path::new(&data).join(name), &OpenOptions::default()).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("real.mcap");
+        let mut writer = McapWriter::create(&path, real.info()).unwrap();
+        for index in 0..FRAMES {
+            writer.write(&real.read(index).unwrap()).unwrap();
+        }
+        writer.finish().unwrap();
+        let mut mcap = open(&path);
+        let (a, b) = (real.info().clone(), mcap.info().clone());
+        assert_eq!((b.frames, b.has_timestamps), (FRAMES, a.has_timestamps), "{name}");
+        assert_eq!(a.ground_truth, b.ground_truth, "{name}");
+        let expected = itm_core::Calibration { depth_conversion: DepthConversion::MILLIMETRES, ..a.calibration };
+        assert_eq!(b.calibration, expected, "{name}");
+        for index in 0..FRAMES {
+            let (mut from, to) = (real.read(index).unwrap(), mcap.read(index).unwrap());
+            // Where depth and colour have no times of their own they are taken for the same.
+            from.colour_timestamp = from.colour_timestamp.or(Some(from.timestamp));
+            assert_same((&from, &a), (&to, &b));
+        }
+    }
+}
