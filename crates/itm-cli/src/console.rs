@@ -91,21 +91,21 @@ impl io::Write for AboveBars {
 /// Status of a program that Ctrl-C ended.
 pub(crate) const INTERRUPTED: u8 = 130;
 
-/// The switch of the run under way.
-static STOP: Mutex<Option<Arc<AtomicBool>>> = Mutex::new(None);
+/// The switch of the run under way, and what to say when it is set.
+static STOP: Mutex<Option<(Arc<AtomicBool>, &'static str)>> = Mutex::new(None);
 
 /// While this lives, Ctrl-C sets a switch; the second one ends the program at once.
 pub(crate) struct StopOnCtrlC(());
 
 impl StopOnCtrlC {
-    pub(crate) fn new(switch: Arc<AtomicBool>) -> Self {
+    pub(crate) fn new(switch: Arc<AtomicBool>, what_happens: &'static str) -> Self {
         static HANDLER: Once = Once::new();
         HANDLER.call_once(|| {
             if let Err(error) = ctrlc::set_handler(interrupt) {
                 tracing::warn!("Ctrl-C will end the program without results: {error}");
             }
         });
-        *STOP.lock().unwrap_or_else(PoisonError::into_inner) = Some(switch);
+        *STOP.lock().unwrap_or_else(PoisonError::into_inner) = Some((switch, what_happens));
         Self(())
     }
 }
@@ -119,8 +119,8 @@ impl Drop for StopOnCtrlC {
 fn interrupt() {
     let switch = STOP.lock().unwrap_or_else(PoisonError::into_inner).clone();
     match switch {
-        Some(switch) if !switch.swap(true, Ordering::Relaxed) => {
-            note("stopping; mesh and report will be written (Ctrl-C again ends at once)");
+        Some((switch, what_happens)) if !switch.swap(true, Ordering::Relaxed) => {
+            note(format_args!("{what_happens} (Ctrl-C again ends at once)"));
         }
         #[allow(clippy::exit, reason = "the user asked twice, or nothing is under way that could be kept")]
         _ => std::process::exit(INTERRUPTED.into()),

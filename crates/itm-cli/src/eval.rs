@@ -1,12 +1,13 @@
 //! `itm eval`.
 
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use itm_core::evaluation::{self, Evaluation};
 use itm_core::{StampedPose, Trajectory};
-use itm_io::recording::{self, OpenOptions};
+use itm_io::recording::{self, OpenOptions, Topics};
 use itm_io::trajectory::read_tum;
 use serde::Serialize;
 
@@ -27,9 +28,12 @@ pub(crate) struct Arguments {
     /// Estimated trajectory
     #[arg(value_name = "EST")]
     estimate: PathBuf,
-    /// True trajectory, or the folder of a recording that has one
+    /// True trajectory, or a recording that has one: its folder, or an MCAP file
     #[arg(value_name = "GT")]
     truth: PathBuf,
+    /// Topics of an MCAP file, as of itm run: pose=/vicon/camera
+    #[arg(long, value_name = "NAME=TOPIC,…", value_parser = Topics::from_str)]
+    topics: Option<Topics>,
     /// How far apart in time two poses of a pair may be, in milliseconds
     #[arg(long, value_name = "MS", default_value_t = 20.0, value_parser = parse_tolerance)]
     tolerance_ms: f64,
@@ -50,8 +54,10 @@ struct Answer<'a> {
 
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let mut estimate = read_tum(&arguments.estimate)?;
-    let (truth, frames) = if arguments.truth.is_dir() {
-        let recording = recording::open(&arguments.truth, &OpenOptions::default())?;
+    let is_recording = arguments.truth.is_dir() || recording::is_file_of_recording(&arguments.truth);
+    let (truth, frames) = if is_recording {
+        let topics = arguments.topics.clone().unwrap_or_default();
+        let recording = recording::open(&arguments.truth, &OpenOptions { topics, ..OpenOptions::default() })?;
         let info = recording.info();
         let Some(truth) = &info.ground_truth else {
             bail!("the recording '{}' has no ground truth", arguments.truth.display());

@@ -3,6 +3,7 @@
 //! Results go to standard output; progress, warnings and errors go to standard error.
 
 mod console;
+mod convert;
 mod devices;
 mod eval;
 mod info;
@@ -11,6 +12,7 @@ mod mesh;
 mod mesh_error;
 mod pictures;
 mod plot;
+mod recordings;
 mod render;
 mod report;
 mod run;
@@ -35,6 +37,7 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     Run(Box<run::Arguments>),
+    Convert(Box<convert::Arguments>),
     Eval(eval::Arguments),
     Info(info::Arguments),
     Mesh(mesh::Arguments),
@@ -49,6 +52,7 @@ Examples:
   itm synth room                      make a recording with exact ground truth
   itm run room                        reconstruct it into out/room
   itm run rgbd_dataset_freiburg1_desk -o desk --set map.voxel_size_m=0.01
+  itm convert room room.mcap          the recording as a file for robots' tools
   itm info room.itm                   what a saved map holds
   itm mesh room.itm -o room.ply       its surface; for views of it, itm render
   itm eval desk/trajectory.txt rgbd_dataset_freiburg1_desk/groundtruth.txt";
@@ -67,6 +71,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     console::start_logging(arguments.verbose);
     let result = match &arguments.command {
         Command::Run(arguments) => run::run(arguments),
+        Command::Convert(arguments) => convert::run(arguments),
         Command::Eval(arguments) => eval::run(arguments),
         Command::Info(arguments) => info::run(arguments),
         Command::Mesh(arguments) => mesh::run(arguments),

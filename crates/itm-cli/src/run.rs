@@ -16,7 +16,7 @@ use itm_core::evaluation::{self, Evaluation};
 use itm_core::{Mesh, Mode, Se3, Settings, StampedPose, Trajectory};
 use itm_io::map_file::MapReader;
 use itm_io::mesh::{MeshOptions, UpAxis};
-use itm_io::recording::{self, Format, RecordingInfo};
+use itm_io::recording::{self, RecordingInfo};
 use itm_io::trajectory::{TimeColumn, TumWriter};
 use itm_slam::{
     Device, Event, FrameReport, FrameResult, FrameStatus, Happening, Keyframe, Notice, Poses, SavedSession, Session,
@@ -26,12 +26,14 @@ use serde::Serialize;
 use serde_json::json;
 
 use crate::mesh_error::{self, MeshError};
+use crate::recordings::RecordingArguments;
 use crate::timings::{self, Row, STAGES, Timings};
 use crate::{console, pictures, report};
 
 /// Reconstruct a recording: trajectory, coloured mesh, timings and a report
 ///
-/// The format is recognised from the folder: TUM RGB-D, ICL-NUIM, 7-Scenes, or images with a calibration file. OUT then
+/// The format is recognised: folders in those of TUM RGB-D, ICL-NUIM and 7-Scenes, MCAP files, or images with a calibration
+/// file. OUT then
 /// holds trajectory.txt (TUM format, camera to world), mesh.ply, settings.toml, timings.csv and report.html, and
 /// metrics.json where the recording has ground truth. Results of an earlier run there are replaced.
 #[derive(Args)]
@@ -39,6 +41,7 @@ use crate::{console, pictures, report};
 Examples:
   itm run rgbd_dataset_freiburg1_desk
   itm run redkitchen/seq-01 -o kitchen --frames 0..300 --set map.voxel_size_m=0.01
+  itm run bag.mcap --topics depth=/camera/depth/image_raw,color=/camera/color/image_raw
   itm run scan --depth-pattern 'depth/%06d.png' --calibration calib.txt
   itm run room --poses given --json
   itm run room --tracker type=extended,levels=rrbb,useDepth=1 --explain
@@ -55,7 +58,7 @@ stand for, in crates/itm-core/src/settings/tracker.rs and in the settings.toml o
 Ctrl-C ends the run after the current frame; mesh and report are written all the same.
 Exit status: 0 complete, 130 stopped by Ctrl-C, 1 error, 2 bad command line.")]
 pub(crate) struct Arguments {
-    /// Folder of the recording
+    /// Folder of the recording, or an MCAP file
     recording: PathBuf,
     /// Folder for the results, made where it is missing [default: out/NAME, with the recording's name]
     #[arg(short, long)]
@@ -96,21 +99,8 @@ pub(crate) struct Arguments {
     /// Adapter: auto, a number from 'itm devices' or a part of its name; wins over the settings
     #[arg(long)]
     device: Option<String>,
-    /// Calibration file, in place of the recording's own
-    #[arg(long, value_name = "FILE")]
-    calibration: Option<PathBuf>,
-    /// Format of the recording, where it is not recognised: tum, icl-nuim, 7-scenes or images
-    #[arg(long, value_parser = Format::from_str)]
-    format: Option<Format>,
-    /// Depth images within the folder, with a number or *: 'depth/%06d.png'
-    #[arg(long, value_name = "PATTERN")]
-    depth_pattern: Option<String>,
-    /// Colour images, likewise
-    #[arg(long, value_name = "PATTERN", alias = "color-pattern")]
-    colour_pattern: Option<String>,
-    /// Orientations of an inertial sensor, likewise: files with the nine numbers of a rotation matrix
-    #[arg(long, value_name = "PATTERN")]
-    imu_pattern: Option<String>,
+    #[command(flatten)]
+    open: RecordingArguments,
     /// Formats of the mesh, one file each: mesh.ply, mesh.glb …
     #[arg(long, value_enum, value_delimiter = ',', default_value = "ply", value_name = "FORMATS")]
     mesh_format: Vec<MeshFormat>,
@@ -345,14 +335,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         (None, Some(path)) => Start::InMap { path: path.clone(), world_from_camera: arguments.start_pose },
         (None, None) => Start::Afresh,
     };
-    let options = recording::OpenOptions {
-        format: arguments.format,
-        calibration: arguments.calibration.clone(),
-        depth_pattern: arguments.depth_pattern.clone(),
-        colour_pattern: arguments.colour_pattern.clone(),
-        imu_pattern: arguments.imu_pattern.clone(),
-    };
-    let recording = recording::open(&arguments.recording, &options)?;
+    let recording = recording::open(&arguments.recording, &arguments.open.options())?;
     let info = recording.info().clone();
     let poses = match (&resumed, arguments.poses) {
         (Some(saved), _) => saved.poses,
@@ -380,7 +363,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let mut log = Log::create(&out, &info, session.slam().settings())?;
     log.write_poses_before(session.slam().trajectory())?;
     log.explain = arguments.explain;
-    let stop = console::StopOnCtrlC::new(session.stop_switch());
+    let stop = console::StopOnCtrlC::new(session.stop_switch(), "stopping; mesh and report will be written");
     let bar = console::bar(frames.map_or(info.frames, |f| f.len()) as u64, "frames", arguments.quiet);
     let ended = log.follow(&mut session, &bar)?;
     bar.finish_and_clear();

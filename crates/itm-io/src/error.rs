@@ -48,8 +48,8 @@ pub enum Error {
         /// The path as given.
         path: PathBuf,
     },
-    /// A recording's path that is a file.
-    #[error("'{}' is a file; a recording is a folder", path.display())]
+    /// A recording's path that is a file, and not one that is a recording by itself.
+    #[error("'{}' is a file; a recording is a folder, or a file in the format MCAP", path.display())]
     NotAFolder {
         /// The path as given.
         path: PathBuf,
@@ -129,6 +129,67 @@ pub enum Error {
         pattern: String,
         /// What would do.
         expected: &'static str,
+    },
+
+    /// What one format has no use for.
+    #[error("{what} are of recordings in the format {of}; this one is {format}")]
+    NotOfFormat {
+        /// What was asked for.
+        what: &'static str,
+        /// The recording's format.
+        format: &'static str,
+        /// The format that it would have been of use for.
+        of: &'static str,
+    },
+    /// A file that cannot be read as MCAP.
+    #[error("cannot read '{}' as MCAP: {reason}", path.display())]
+    Mcap {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it, and where.
+        reason: String,
+    },
+    /// An MCAP file in which no topic fits, or several do.
+    #[error("'{}': {problem}{}{advice}", path.display(), as_lines(candidates))]
+    Topics {
+        /// The file.
+        path: PathBuf,
+        /// What is missing, or not clear.
+        problem: String,
+        /// Topics that there are, each with its schema and number of messages.
+        candidates: Vec<String>,
+        /// How to choose, or what would do.
+        advice: String,
+    },
+    /// A choice of topics that cannot be understood.
+    #[error("the choice of a topic '{given}' is not understood: expected {expected}")]
+    TopicChoice {
+        /// As given.
+        given: String,
+        /// What would do.
+        expected: &'static str,
+    },
+    /// A topic of an MCAP file whose messages cannot be used.
+    #[error("'{}', topic '{topic}': {reason}", path.display())]
+    McapTopic {
+        /// The file.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// Why not.
+        reason: String,
+    },
+    /// A message of an MCAP file that cannot be used.
+    #[error("'{}', topic '{topic}', message {message}: {reason}", path.display())]
+    Message {
+        /// The file.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// The message's number within its topic, from 0, in the order in which they lie in the file.
+        message: usize,
+        /// Why not.
+        reason: String,
     },
 
     /// An image file that is cut off or damaged, or of a format that is not read here.
@@ -268,6 +329,11 @@ pub enum Error {
         /// Which one.
         section: String,
     },
+}
+
+/// A list between two texts, with a line for each.
+fn as_lines(items: &[String]) -> String {
+    if items.is_empty() { "; ".into() } else { format!(":\n  {}\n", items.join("\n  ")) }
 }
 
 impl Error {

@@ -548,12 +548,12 @@ fn a_path_that_is_no_recording_is_named() {
     assert!(matches!(&file, Error::NotAFolder { path } if path.ends_with("file")), "{file}");
     let unknown = folder.error();
     assert!(unknown.starts_with("'HERE' is of no known format; looked for depth.txt"), "{unknown}");
-    for format in ["TUM", "ICL-NUIM", "7-Scenes", "calibration.txt"] {
+    for format in ["TUM", "ICL-NUIM", "7-Scenes", "MCAP", "calibration.txt"] {
         assert!(unknown.contains(format), "{unknown}");
     }
     assert_eq!(
         "kitti".parse::<Format>().unwrap_err().to_string(),
-        "'kitti' is no known format of recordings; there are tum, icl-nuim, 7-scenes, images"
+        "'kitti' is no known format of recordings; there are tum, icl-nuim, 7-scenes, mcap, images"
     );
     for format in Format::ALL {
         assert_eq!(format.to_string().parse::<Format>().unwrap(), format);

@@ -103,12 +103,24 @@ pub(super) fn is_depth(path: &Path) -> Result<bool, Error> {
     Ok(decoder.color_type() == ColorType::L16)
 }
 
+/// Whether an image file in memory is greyscale with 16 bits, and its size; the reason where it is no image.
+pub(super) fn grey_16_bit(bytes: &[u8]) -> Result<(bool, (u32, u32)), String> {
+    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| e.to_string())?;
+    let decoder = reader.into_decoder().map_err(|e| e.to_string())?;
+    Ok((decoder.color_type() == ColorType::L16, decoder.dimensions()))
+}
+
 /// Raw depth values from a 16-bit greyscale PNG or PGM.
 pub(super) fn depth(path: &Path, size: (u32, u32)) -> Result<Image<u16>, Error> {
     let bytes = fs::read(path).map_err(|reason| Error::io("open", path, reason))?;
-    let (reader, format) = reader(path, Cursor::new(bytes.as_slice()))?;
+    depth_of(path, &bytes, size)
+}
+
+/// The same of a file's bytes; the path is only for errors.
+pub(super) fn depth_of(path: &Path, bytes: &[u8], size: (u32, u32)) -> Result<Image<u16>, Error> {
+    let (reader, format) = reader(path, Cursor::new(bytes))?;
     let values = if format == ImageFormat::Pnm {
-        let decoder = PnmDecoder::new(Cursor::new(bytes.as_slice())).map_err(|e| undecodable(path, e))?;
+        let decoder = PnmDecoder::new(Cursor::new(bytes)).map_err(|e| undecodable(path, e))?;
         Kind::Depth.check(path, &decoder)?;
         check_size(path, size, decoder.dimensions())?;
         pgm_values(path, decoder)?
@@ -153,7 +165,12 @@ fn encoding(header: &PnmHeader) -> SampleEncoding {
 /// Colours from any 8-bit image.
 pub(super) fn colour(path: &Path, size: (u32, u32)) -> Result<ColourImage, Error> {
     let bytes = fs::read(path).map_err(|reason| Error::io("open", path, reason))?;
-    let (reader, format) = reader(path, Cursor::new(bytes.as_slice()))?;
+    colour_of(path, &bytes, size)
+}
+
+/// The same of a file's bytes; the path is only for errors.
+pub(super) fn colour_of(path: &Path, bytes: &[u8], size: (u32, u32)) -> Result<ColourImage, Error> {
+    let (reader, format) = reader(path, Cursor::new(bytes))?;
     // The JPEG decoder fills what is missing with grey. Within an image 0xff is always followed by something else than
     // the end marker's 0xd9.
     if format == ImageFormat::Jpeg && !bytes.windows(2).any(|pair| pair == [0xff, 0xd9]) {

@@ -9,16 +9,22 @@
 //! | TUM RGB-D | `depth.txt` and `rgb.txt`, or `associations.txt` | preset by `fr1`, `fr2`, `fr3` in the path | of the depth image |
 //! | ICL-NUIM | `*.gt.freiburg`, or numbered images below a telling name | preset | nominal |
 //! | 7-Scenes | `frame-000000.depth.png`, or one `seq-01` folder with such | preset | nominal |
+//! | MCAP | a file `*.mcap` or one that begins as such, or the one in a folder | messages or calibration file | of the depth image |
 //! | image folder | a calibration file, or a pattern | calibration file | nominal |
 //!
 //! A folder in TUM's format may hold a gyroscope's readings: `gyroscope.txt`, lines of `timestamp wx wy wz` in seconds and
 //! rad/s. Each frame has those since the frame before it in the recording; the first one the last before it.
+//!
+//! In MCAP, messages of ROS 2 (`sensor_msgs/msg/Image`, `CompressedImage`, `CameraInfo`, `Imu`; poses from `tf2_msgs`,
+//! `geometry_msgs` and `nav_msgs`) and of Foxglove's schemas in protobuf are read; [`Topics`] chooses between topics, and
+//! [`McapWriter`] writes such files.
 //!
 //! A calibration file (`calibration.txt` or `calib.txt`, see [`crate::calibration`]) in the folder wins over a preset.
 
 mod decode;
 mod icl_nuim;
 mod images;
+mod mcap;
 mod read_ahead;
 mod seven_scenes;
 mod tum;
@@ -35,6 +41,7 @@ use crate::{Error, calibration, matrix};
 
 pub(crate) use images::{Pattern, Varying};
 
+pub use mcap::{McapWriter, Topics};
 pub use read_ahead::ReadAhead;
 
 /// A format of recordings.
@@ -46,20 +53,23 @@ pub enum Format {
     IclNuim,
     /// Shotton et al. 2013, *Scene Coordinate Regression Forests for Camera Relocalization in RGB-D Images*.
     SevenScenes,
+    /// Messages in an MCAP file (<https://mcap.dev>), as robots record them.
+    Mcap,
     /// Image files that match a pattern, with a calibration file.
     Images,
 }
 
 impl Format {
     /// Every format.
-    pub const ALL: [Self; 4] = [Self::Tum, Self::IclNuim, Self::SevenScenes, Self::Images];
+    pub const ALL: [Self; 5] = [Self::Tum, Self::IclNuim, Self::SevenScenes, Self::Mcap, Self::Images];
 
-    /// The name by which it can be asked for: `tum`, `icl-nuim`, `7-scenes`, `images`.
+    /// The name by which it can be asked for: `tum`, `icl-nuim`, `7-scenes`, `mcap`, `images`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Tum => "tum",
             Self::IclNuim => "icl-nuim",
             Self::SevenScenes => "7-scenes",
+            Self::Mcap => "mcap",
             Self::Images => "images",
         }
     }
@@ -87,7 +97,7 @@ impl FromStr for Format {
 pub struct OpenOptions {
     /// Its format; recognised from the folder if `None`.
     pub format: Option<Format>,
-    /// A calibration file that wins over the folder's own and over presets.
+    /// A calibration file that wins over the folder's own, over presets and over messages.
     pub calibration: Option<PathBuf>,
     /// Depth images, relative to the folder: `depth/%06d.pgm` or `depth_*.png`, with one number or `*` in the last
     /// part. Makes the recording an image folder unless `format` says otherwise.
@@ -100,12 +110,14 @@ pub struct OpenOptions {
     /// same number (or text) in its name; in TUM's format, whose images have no numbers, to the frame in this place, counted from 0. A
     /// frame without a file has no orientation.
     pub imu_pattern: Option<String>,
+    /// Which topics of an MCAP file to read, where its messages do not tell.
+    pub topics: Topics,
 }
 
 /// What is known of a recording before its images are decoded.
 #[derive(Clone, Debug)]
 pub struct RecordingInfo {
-    /// The folder's name.
+    /// The folder's name, or the file's without its ending.
     pub name: String,
     /// Its format.
     pub format: Format,
@@ -173,7 +185,12 @@ pub trait Recording: Send {
     }
 }
 
-/// Opens a recording, and recognises its format from the folder unless `options` name it.
+/// Whether a file, by its name or its first bytes, is one that is a recording by itself.
+pub fn is_file_of_recording(path: &Path) -> bool {
+    path.is_file() && mcap::recognised(path)
+}
+
+/// Opens a recording, a folder or an MCAP file, and recognises its format unless `options` name it.
 ///
 /// Images are not decoded yet, but headers are read until one image of each kind is found that will do.
 ///
@@ -181,18 +198,53 @@ pub trait Recording: Send {
 /// Where the folder is missing or of no known format, its lists or calibration cannot be read, or none of its images
 /// can be used.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<Box<dyn Recording>, Error> {
+    let as_mcap = options.format.map_or_else(|| mcap::recognised(path), |format| format == Format::Mcap);
+    if path.is_file() && as_mcap {
+        return open_mcap(path, None, options);
+    }
     let folder = Folder::list(path)?;
     let format = match options.format {
         Some(format) => format,
         None => recognise(&folder, options)?,
     };
+    if format != Format::Mcap && !options.topics.is_empty() {
+        return Err(Error::NotOfFormat { what: "topics", format: format.name(), of: Format::Mcap.name() });
+    }
     let listing = match format {
+        Format::Mcap => {
+            let file = folder.path.join(the_mcap_file(&folder)?);
+            return open_mcap(&file, folder.calibration_file(), options);
+        }
         Format::Tum => tum::list(&folder)?,
         Format::IclNuim => icl_nuim::list(&folder)?,
         Format::SevenScenes => seven_scenes::list(&folder)?,
         Format::Images => images::list(&folder, options)?,
     };
     Ok(Box::new(ImageFiles::new(format, listing, options)?))
+}
+
+fn open_mcap(path: &Path, calibration: Option<PathBuf>, options: &OpenOptions) -> Result<Box<dyn Recording>, Error> {
+    let patterns = [&options.depth_pattern, &options.colour_pattern, &options.imu_pattern];
+    if patterns.iter().any(|pattern| pattern.is_some()) {
+        return Err(Error::NotOfFormat { what: "patterns of files", format: "mcap", of: "images" });
+    }
+    Ok(Box::new(mcap::open(path, calibration, options)?))
+}
+
+/// The MCAP files in a folder.
+fn mcap_files(folder: &Folder) -> Vec<&String> {
+    folder.names.iter().filter(|name| name.to_lowercase().ends_with(".mcap") && !name.starts_with('.')).collect()
+}
+
+fn the_mcap_file(folder: &Folder) -> Result<&str, Error> {
+    match mcap_files(folder).as_slice() {
+        [] => Err(Error::NoFiles { path: folder.path.clone(), expected: "file *.mcap".into() }),
+        [one] => Ok(one),
+        several => Err(Error::SeveralRecordings {
+            path: folder.path.clone(),
+            names: several.iter().map(ToString::to_string).collect(),
+        }),
+    }
 }
 
 fn recognise(folder: &Folder, options: &OpenOptions) -> Result<Format, Error> {
@@ -204,14 +256,28 @@ fn recognise(folder: &Folder, options: &OpenOptions) -> Result<Format, Error> {
         Ok(Format::SevenScenes)
     } else if tum::recognised(folder) {
         Ok(Format::Tum)
+    } else if !mcap_files(folder).is_empty() {
+        Ok(Format::Mcap)
     } else if options.calibration.is_some() || folder.calibration_file().is_some() {
         Ok(Format::Images)
     } else {
         let looked_for = "depth.txt and rgb.txt or associations.txt (TUM RGB-D), a *.gt.freiburg file or numbered \
             images in depth/ below a name with 'livingRoom' or 'traj' (ICL-NUIM), frame-000000.depth.png or one folder \
-            seq-01 with such (7-Scenes), calibration.txt or calib.txt beside depth images (image folder)";
+            seq-01 with such (7-Scenes), a file *.mcap (MCAP), calibration.txt or calib.txt beside depth images (image folder)";
         Err(Error::UnknownFormat { path: path_as_shown(&folder.path), looked_for: looked_for.into() })
     }
+}
+
+/// Readings since the frame before, for each frame; all in the order of time.
+fn readings_by_frame(mut rest: &[AngularRate], stamps: &[Timestamp]) -> Vec<Vec<AngularRate>> {
+    let since_the_last = |(position, &time): (usize, &Timestamp)| {
+        let readings;
+        (readings, rest) = rest.split_at(rest.partition_point(|reading| reading.timestamp <= time));
+        // Before the first frame there was none to turn away from: its last reading is the state that it begins in.
+        let since = if position == 0 { readings.len().saturating_sub(1) } else { 0 };
+        readings[since..].to_vec()
+    };
+    stamps.iter().enumerate().map(since_the_last).collect()
 }
 
 fn path_as_shown(path: &Path) -> PathBuf {
@@ -321,7 +387,7 @@ struct Preset {
     source: String,
 }
 
-/// A recording whose frames are image files: all formats so far.
+/// A recording whose frames are image files: all formats but MCAP.
 struct ImageFiles {
     info: RecordingInfo,
     frames: Vec<FrameFiles>,

@@ -7,7 +7,7 @@ use glam::DVec3;
 use itm_core::{AngularRate, Calibration, DepthConversion, Distortion, Intrinsics, Timestamp};
 
 use super::images::Key;
-use super::{Folder, FrameFiles, Listing, Preset, decode};
+use super::{Folder, FrameFiles, Listing, Preset, decode, readings_by_frame};
 use crate::{Error, text, trajectory};
 
 /// Largest distance in time between a depth image and what belongs to it: colour, true pose.
@@ -68,14 +68,11 @@ pub(super) fn list(folder: &Folder) -> Result<Listing, Error> {
     };
     frames.sort_by_key(|frame| frame.timestamp);
     let gyroscope = folder.file(GYROSCOPE).map(|path| read_gyroscope(&path)).transpose()?;
-    let mut rest = gyroscope.as_deref().unwrap_or_default();
-    for (position, frame) in (0..).zip(&mut frames) {
+    let stamps: Vec<Timestamp> = frames.iter().map(|frame| frame.timestamp).collect();
+    let readings = readings_by_frame(gyroscope.as_deref().unwrap_or_default(), &stamps);
+    for ((position, frame), readings) in (0..).zip(&mut frames).zip(readings) {
         frame.key = Key::of_number(position);
-        let readings;
-        (readings, rest) = rest.split_at(rest.partition_point(|reading| reading.timestamp <= frame.timestamp));
-        // Before the first frame there was none to turn away from: its last reading is the state that it begins in.
-        let since = if position == 0 { readings.len().saturating_sub(1) } else { 0 };
-        frame.gyroscope = readings[since..].to_vec();
+        frame.gyroscope = readings;
     }
     Ok(Listing {
         preset: Some(preset(folder)),
@@ -187,7 +184,7 @@ fn is_depth_first(folder: &Folder, first: &str, second: &str) -> Result<bool, Er
 
 /// Pairs two lists of times one to one, the closest first, as the benchmark's tools do: indices into both, in the order
 /// of the first list's times. Pairs lie at most `tolerance_ns` apart.
-fn associate(a: &[Timestamp], b: &[Timestamp], tolerance_ns: i64) -> Vec<(usize, usize)> {
+pub(super) fn associate(a: &[Timestamp], b: &[Timestamp], tolerance_ns: i64) -> Vec<(usize, usize)> {
     let mut b_by_time: Vec<usize> = (0..b.len()).collect();
     b_by_time.sort_by_key(|&j| b[j]);
     let mut candidates = Vec::new();
@@ -218,21 +215,27 @@ fn distance_ns(a: Timestamp, b: Timestamp) -> i64 {
     a.0.saturating_sub(b.0).saturating_abs()
 }
 
-fn no_association(depth_list: PathBuf, depth: &[Listed], colour_list: PathBuf, colour: &[Listed]) -> Error {
-    let mut colour_times: Vec<Timestamp> = colour.iter().map(|image| image.time).collect();
-    colour_times.sort();
-    let closest_ns = depth.iter().map(|image| {
-        let at = colour_times.partition_point(|&time| time < image.time);
-        let neighbours = colour_times[at.saturating_sub(1)..].iter().take(2);
-        neighbours.map(|&time| distance_ns(time, image.time)).min().unwrap_or(i64::MAX)
+/// How far apart in time the closest two of two lists are, in seconds.
+pub(super) fn closest_s(a: &[Timestamp], b: &[Timestamp]) -> f64 {
+    let mut b = b.to_vec();
+    b.sort();
+    let closest_ns = a.iter().map(|&time| {
+        let at = b.partition_point(|&other| other < time);
+        let neighbours = b[at.saturating_sub(1)..].iter().take(2);
+        neighbours.map(|&other| distance_ns(other, time)).min().unwrap_or(i64::MAX)
     });
+    Timestamp(closest_ns.min().unwrap_or(i64::MAX)).as_secs_f64()
+}
+
+fn no_association(depth_list: PathBuf, depth: &[Listed], colour_list: PathBuf, colour: &[Listed]) -> Error {
+    let times = |list: &[Listed]| list.iter().map(|image| image.time).collect::<Vec<_>>();
     Error::NoAssociation {
         depth_list,
         depth_images: depth.len(),
         colour_list,
         colour_images: colour.len(),
         tolerance_ms: TOLERANCE_MS,
-        closest_s: Timestamp(closest_ns.min().unwrap_or(i64::MAX)).as_secs_f64(),
+        closest_s: closest_s(&times(depth), &times(colour)),
     }
 }
 
