@@ -16,6 +16,7 @@ const UPDATED: u32 = 6u;
 const MERGED: u32 = 7u;
 const REMOVED: u32 = 8u;
 const STABLE: u32 = 9u;
+const DEMOTED: u32 = 10u;
 
 // Of a surfel's target: it stands in front of what the pixel measures.
 const IN_FRONT: u32 = 0x80000000u;

@@ -93,6 +93,8 @@ pub(crate) struct Place {
     pub(crate) submap_from_camera: Se3,
     /// Where the colour camera was, beside the depth camera, when its image was taken.
     pub(crate) colour_from_depth: Se3,
+    /// The pose that the model was last cast from, if it was.
+    pub(crate) submap_from_model: Option<Se3>,
 }
 
 struct Waiting {
@@ -484,10 +486,10 @@ impl Mapper {
         model: &mut Model,
         mut times: Vec<StageTimes>,
     ) -> Result<bool, Error> {
-        let Place { submap, submap_from_camera: world_from_camera, colour_from_depth } = at;
+        let Place { submap, submap_from_camera: world_from_camera, colour_from_depth, submap_from_model } = at;
         if let Some(surfels) = &mut self.surfels {
-            let at = (self.frames, frame);
-            return surfels.fuse(at, view, world_from_camera, colour_from_depth, &model.image, times);
+            let (at, image) = ((self.frames, frame), (&model.image, submap_from_model.as_ref()));
+            return surfels.fuse(at, view, world_from_camera, colour_from_depth, image, times);
         }
         self.map.look_at(*submap);
         let camera = self.calibration.depth;

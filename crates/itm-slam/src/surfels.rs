@@ -10,10 +10,11 @@ use itm_core::{
 };
 use itm_gpu::absorb::Absorb;
 use itm_gpu::associate::Associate;
+use itm_gpu::segment::Segment;
 use itm_gpu::splat::{Drawn, Splat};
 use itm_gpu::{
-    Device, RaycastImage, Recorder, StageTimes, SurfelMap, SurfelOptions, SurfelRecord, SurfelRecordReader,
-    SurfelState, SurfelView, View,
+    Device, RaycastImage, Recorder, Segmentation, StageTimes, SurfelMap, SurfelOptions, SurfelRecord,
+    SurfelRecordReader, SurfelState, SurfelView, View,
 };
 
 use serde::{Deserialize, Serialize};
@@ -40,6 +41,8 @@ pub(crate) struct Surfels {
     associate: Associate,
     absorb: Absorb,
     splat: Splat,
+    /// Finds what moves, where the settings ask for it.
+    segment: Option<(Segment, Segmentation)>,
     waiting: VecDeque<Waiting>,
     /// Surfels that one frame asked for lately; decays.
     demand: u32,
@@ -81,7 +84,7 @@ pub(crate) struct SurfelsState {
 struct WaitingState {
     place: u64,
     frame: u64,
-    record: [u32; 9],
+    record: [u32; 10],
 }
 
 /// What became known of a frame some frames later.
@@ -131,6 +134,10 @@ impl Surfels {
             associate: Associate::new(device),
             absorb: Absorb::new(device),
             splat: Splat::new(device),
+            segment: own
+                .dynamics
+                .enabled
+                .then(|| (Segment::new(device), Segmentation::new(device, calibration.depth, &own.dynamics))),
             waiting: VecDeque::new(),
             demand: 0,
             fused: 0,
@@ -217,7 +224,8 @@ impl Surfels {
         Drawn { least: 0.0, preferred: if self.fused <= own.all_for { 0.0 } else { own.track_from }, reach: own.reach }
     }
 
-    /// Fuses a view, and draws what the camera sees into `image` for the next frame's tracking. Returns whether there is a map:
+    /// Fuses a view, and draws what the camera sees into `image` for the next frame's tracking; what it holds until then was seen from
+    /// `world_from_image`, if it holds anything. Returns whether there is a map:
     /// a view without depth cannot begin one.
     pub(crate) fn fuse(
         &mut self,
@@ -225,7 +233,7 @@ impl Surfels {
         view: &View,
         world_from_camera: &Se3,
         colour_from_depth: &Se3,
-        image: &RaycastImage,
+        (image, world_from_image): (&RaycastImage, Option<&Se3>),
         mut times: Vec<StageTimes>,
     ) -> Result<bool, Error> {
         if self.fused == 0 {
@@ -241,6 +249,9 @@ impl Surfels {
         let options = Self::options(&self.settings, self.fused, world_from_camera);
         let calibration = Calibration { colour_from_depth: *colour_from_depth, ..self.calibration };
         self.associate.record(&mut recorder, &self.map, view, &self.pixels, &calibration, &options);
+        if let (Some((segment, cells)), Some(seen_from)) = (&self.segment, world_from_image) {
+            segment.record(&mut recorder, &self.map, view, cells, (image, seen_from), &options);
+        }
         self.absorb.record(&mut recorder, &self.map, view, &self.pixels, &options);
         if self.fused.is_multiple_of(FREE_EVERY) {
             self.absorb.record_free(&mut recorder, &self.map, &self.pixels);
@@ -317,6 +328,14 @@ impl Slam {
     /// Where the device was lost.
     pub fn surfels(&self) -> Result<Vec<Surfel>, Error> {
         self.mapper.surfels.as_ref().map_or_else(|| Ok(Vec::new()), Surfels::stable)
+    }
+
+    /// All surfels, unstable ones too: world frame, metres. Waits. None where the map is one of voxels.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn all_surfels(&self) -> Result<Vec<Surfel>, Error> {
+        self.mapper.surfels.as_ref().map_or_else(|| Ok(Vec::new()), |surfels| Ok(surfels.map.read()?))
     }
 
     /// A mesh of the surfels: what the camera would see of them along its way, fused into voxels of `map.voxel_size_m`.

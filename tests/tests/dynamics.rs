@@ -1,0 +1,131 @@
+//! Objects that move, in maps of surfels, in whole runs.
+
+use itm_slam::evaluation::{DEFAULT_TOLERANCE_NS, evaluate};
+use itm_slam::surfel::Surfel;
+use itm_slam::{Device, Mode, Poses, Settings, Slam};
+use itm_synth::{DepthNoise, Path, Sequence, Spec};
+use itm_tests::{device, sequence};
+
+/// Frames of [`Path::Carried`] at which the box is lifted, and is wholly out of its place (see `the_box_…`).
+const LIFTED: u32 = 72;
+const GONE: u32 = 94;
+
+fn settings(enabled: bool) -> Settings {
+    let mut settings = Settings { mode: Mode::Surfels, ..Settings::default() };
+    settings.tracker.extended.levels = "bbb".into();
+    settings.surfels.dynamics.enabled = enabled;
+    // Cells of as many pixels as a quarter of a larger image's.
+    settings.surfels.dynamics.cell_px = 2;
+    settings
+}
+
+fn carried(noise: Option<DepthNoise>) -> Sequence {
+    let spec = Spec::new(Path::Carried).with_size(160, 120).with_frames(200);
+    Sequence::new(noise.map_or(spec, |noise| spec.with_noise(noise, 3))).expect("a valid specification")
+}
+
+fn start(device: &Device, sequence: &Sequence, settings: &Settings) -> Slam {
+    Slam::new(device, &sequence.calibration(), settings, Poses::Tracked).expect("a small map fits")
+}
+
+fn process(slam: &mut Slam, sequence: &Sequence, frames: std::ops::Range<u32>) {
+    for index in frames {
+        slam.process(&sequence.frame(index)).expect("a result");
+    }
+}
+
+fn ate_m(slam: &Slam, truth: &Sequence) -> f64 {
+    let evaluation = evaluate(slam.trajectory(), &truth.trajectory(), DEFAULT_TOLERANCE_NS);
+    evaluation.expect("poses to compare").ate.rmse
+}
+
+/// Surfels within the box as it stood at first, or up to 3 cm beside it, that lie on nothing that stays.
+fn ghost(slam: &Slam, sequence: &Sequence) -> (usize, usize) {
+    let spec = sequence.spec();
+    let box_from_world = spec.path.world_from_carried(0.0, spec.duration_s).expect("a box").inverse();
+    let within = |surfel: &Surfel| {
+        let p = box_from_world.transform_point(surfel.position.as_dvec3());
+        p.x.abs() < 0.21 && p.z.abs() < 0.19 && (-0.37..0.0).contains(&p.y)
+    };
+    let is_off = |surfel: &&Surfel| within(surfel) && sequence.scene().distance(surfel.position).abs() > 0.04;
+    let all = slam.all_surfels().expect("the device answers");
+    let left: Vec<&Surfel> = all.iter().filter(is_off).collect();
+    (left.len(), left.iter().filter(|surfel| surfel.confidence >= 10.0).count())
+}
+
+#[test]
+fn the_box_leaves_no_ghost_within_thirty_frames() {
+    let Some(device) = device() else { return };
+    for (noise, most) in [(None, 0), (Some(DepthNoise::KINECT), 0)] {
+        let sequence = carried(noise);
+        let mut left = Vec::new();
+        for enabled in [false, true] {
+            let mut slam = start(&device, &sequence, &settings(enabled));
+            let mut at = 0;
+            for until in [LIFTED, 76, 80, 84, 90, GONE, GONE + 10, GONE + 20, GONE + 30, GONE + 60] {
+                process(&mut slam, &sequence, at..until);
+                at = until;
+                let (all, stable) = ghost(&slam, &sequence);
+                let total = slam.all_surfels().unwrap().len();
+                let st = slam.surfels().unwrap().len();
+                println!(
+                    "{enabled} {until}: ghost {all} ({stable} stable) of {total} ({st} stable), ATE {:.2} mm",
+                    ate_m(&slam, &sequence) * 1e3
+                );
+                if until == GONE + 30 {
+                    left.push(all);
+                }
+            }
+        }
+        println!("{left:?} {most}");
+    }
+}
+
+#[test]
+fn scenes_that_stay_keep_their_surfels() {
+    let Some(device) = device() else { return };
+    for (path, frames, noise) in [
+        (Path::Arc, 60, None),
+        (Path::Loop, 150, None),
+        (Path::Loop, 150, Some(DepthNoise::KINECT)),
+        (Path::Fast, 100, Some(DepthNoise::KINECT)),
+    ] {
+        let spec = *sequence(path, (160, 120), frames).spec();
+        let sequence = Sequence::new(noise.map_or(spec, |noise| spec.with_noise(noise, 3))).unwrap();
+        let mut stable = Vec::new();
+        for enabled in [false, true] {
+            let mut slam = start(&device, &sequence, &settings(enabled));
+            process(&mut slam, &sequence, 0..frames);
+            stable.push(slam.surfels().unwrap().len());
+            println!(
+                "{path} {frames} {enabled}: {} stable of {}, ATE {:.2} mm",
+                stable[stable.len() - 1],
+                slam.all_surfels().unwrap().len(),
+                ate_m(&slam, &sequence) * 1e3
+            );
+        }
+    }
+}
+
+#[test]
+fn runs_with_dynamics_repeat_and_go_on_after_a_save_to_the_same_bytes() {
+    let Some(device) = device() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let bytes = |name: &str| std::fs::read(at(name)).expect("it was written");
+    // From where on the box is about to be lifted.
+    let (sequence, first) = (carried(Some(DepthNoise::KINECT)), 40);
+    for name in ["whole.itm", "again.itm"] {
+        let mut slam = start(&device, &sequence, &settings(true));
+        process(&mut slam, &sequence, first..first + 70);
+        slam.save(&at(name)).expect("saved");
+    }
+    assert!(bytes("whole.itm") == bytes("again.itm"), "another map");
+    let mut slam = start(&device, &sequence, &settings(true));
+    process(&mut slam, &sequence, first..first + 47);
+    slam.save(&at("half.itm")).expect("saved");
+    let mut second = Slam::resume(&device, &at("half.itm")).expect("resumed");
+    process(&mut second, &sequence, first + 47..first + 70);
+    second.save(&at("second.itm")).expect("saved");
+    assert!(bytes("second.itm") == bytes("whole.itm"), "another map after a save");
+}
