@@ -20,7 +20,11 @@ struct Params {
     stable: f32,
     // Of a cell's measurements.
     least_share: f32,
-    unused: u32,
+    // Measurements belong to what the cell shows up to this distance from its plane: metres, and standard deviations more.
+    alike_m: f32,
+    alike_deviations: f32,
+    unused_a: u32,
+    unused_b: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -57,6 +61,14 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         let middle = min(first + vec2(params.side / 2u), params.camera.size - vec2(1u));
         // The middle's, or else the first there is.
         var shown = middle.y * width + middle.x;
+        for (var y = first.y; y < last.y && normals[shown].w == 0.0; y++) {
+            for (var x = first.x; x < last.x && normals[shown].w == 0.0; x++) {
+                shown = y * width + x;
+            }
+        }
+        let place = vertices[shown].xyz;
+        let facing = normals[shown];
+        let most_m = params.alike_m + params.alike_deviations * depth_deviation(place.z);
         var measured = 0u;
         var in_front = 0u;
         var through = 0u;
@@ -68,19 +80,19 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
                     continue;
                 }
                 measured += 1u;
-                in_front += u32(is_in_front(vertex.xyz));
                 through += vacant[at];
-                if normals[shown].w == 0.0 && normals[at].w > 0.0 {
-                    shown = at;
+                // What moves is to be what the cell shows, or it would grow over what is behind.
+                if facing.w > 0.0 && abs(dot(facing.xyz, vertex.xyz - place)) <= most_m {
+                    in_front += u32(is_in_front(vertex.xyz));
                 }
             }
         }
         let least = max(params.least_share * f32(measured), 1.0);
         var found = select(0u, PARTLY_VACANT, through > 0u);
         found |= select(0u, VACANT, f32(through) >= least);
-        found |= select(0u, DYNAMIC, f32(in_front) >= least && normals[shown].w > 0.0);
-        places[i] = select(vec4(0.0), vertices[shown], normals[shown].w > 0.0);
-        facings[i] = normals[shown];
+        found |= select(0u, DYNAMIC, f32(in_front) >= least);
+        places[i] = select(vec4(0.0), vertices[shown], facing.w > 0.0);
+        facings[i] = facing;
         marks[i] = found;
     }
 }

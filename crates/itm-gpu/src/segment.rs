@@ -140,6 +140,8 @@ impl Segment {
         let (settings, stable) = (&options.settings.dynamics, options.settings.stable);
         let levels = &segmentation.levels;
         let room = map.room();
+        let (alike_m, alike_deviations) = (settings.alike_m, settings.alike_deviations);
+        let least_cosine = settings.alike_rad.cos();
         recorder.clear(&segmentation.vacant, segmentation.vacant.size());
         let bindings = segment::vacate::Bindings {
             params: segment::vacate::Params { room, stable },
@@ -163,7 +165,10 @@ impl Segment {
                 gate_deviations: settings.gate_deviations,
                 stable,
                 least_share: settings.min_share,
-                unused: 0,
+                alike_m,
+                alike_deviations,
+                unused_a: 0,
+                unused_b: [0; 2],
             },
             vertices,
             normals,
@@ -188,7 +193,14 @@ impl Segment {
         for (at, pair) in levels.windows(2).enumerate() {
             let [fine, coarse] = pair else { continue };
             let bindings = segment::coarsen::Bindings {
-                params: segment::coarsen::Params { size: fine.size, half_size: coarse.size },
+                params: segment::coarsen::Params {
+                    size: fine.size,
+                    half_size: coarse.size,
+                    alike_m,
+                    alike_deviations,
+                    least_cosine,
+                    unused: 0,
+                },
                 places: &fine.places,
                 facings: &fine.normals,
                 marks: &fine.marks[newest[at]],
@@ -198,8 +210,6 @@ impl Segment {
             };
             recorder.dispatch(&self.coarsen, &bindings, coarse.groups());
         }
-        let (alike_m, alike_deviations) = (settings.alike_m, settings.alike_deviations);
-        let least_cosine = settings.alike_rad.cos();
         for (at, level) in levels.iter().enumerate().rev() {
             if let Some(coarse) = levels.get(at + 1) {
                 let bindings = segment::refine::Bindings {

@@ -67,10 +67,16 @@ fn finest(measured: &Measured<'_>, known: &Known<'_>, vacant: &[bool], margin_m:
             pixels().filter(|at| measured.vertices[*at].is_some_and(|vertex| is(*at, vertex))).count() as f64
         };
         let measurements = count(&|_, _| true);
-        let in_front = count(&|_, vertex| is_in_front(vertex, measured, known, margin_m));
+        // What moves is to be what the cell shows, or it would grow over what is behind.
+        let is_shown = |vertex: DVec3| {
+            place.is_some_and(|(place, normal): (DVec3, DVec3)| {
+                normal.dot(vertex - place).abs() <= most_apart_m(place.z, measured.settings) + margin_m
+            })
+        };
+        let in_front = count(&|_, vertex| is_shown(vertex) && is_in_front(vertex, measured, known, margin_m));
         let through = count(&|(x, y), _| vacant[(y * width + x) as usize]);
         let least = (f64::from(dynamics.min_share) * measurements - 1e-3 * margin_m.signum()).max(1.0);
-        let marks = CellMarks { dynamic: in_front >= least && place.is_some(), vacant: through >= least };
+        let marks = CellMarks { dynamic: in_front >= least, vacant: through >= least };
         Cell { place, marks, partly_vacant: through > 0.0 }
     })
 }
@@ -87,30 +93,36 @@ fn eroded(cells: &Image<Cell>) -> Image<Cell> {
     })
 }
 
-/// Cells of twice the size: the first place of the four, and the marks of any.
-fn coarser(cells: &Image<Cell>) -> Image<Cell> {
+/// Cells of twice the size: the first place of the four, and the marks of any, of those that are of one surface with it.
+fn coarser(cells: &Image<Cell>, settings: &SurfelSettings, margin_m: f64) -> Image<Cell> {
     Image::from_fn(cells.width().div_ceil(2), cells.height().div_ceil(2), |x, y| {
         let last = (cells.width() - 1, cells.height() - 1);
         let four = || (0..4).map(|k| &cells[((2 * x + k % 2).min(last.0), (2 * y + k / 2).min(last.1))]);
+        let shown = Cell { place: four().find_map(|cell| cell.place), ..Cell::default() };
         Cell {
-            place: four().find_map(|cell| cell.place),
             marks: CellMarks {
-                dynamic: four().any(|cell| cell.marks.dynamic),
+                dynamic: four().any(|cell| cell.marks.dynamic && is_alike(&shown, cell, settings, margin_m)),
                 vacant: four().any(|cell| cell.marks.vacant),
             },
             partly_vacant: four().any(|cell| cell.partly_vacant),
+            ..shown
         }
     })
+}
+
+/// Farthest, in metres, that a place at a depth lies from the plane of another of its surface.
+fn most_apart_m(z: f64, settings: &SurfelSettings) -> f64 {
+    let dynamics = &settings.dynamics;
+    f64::from(dynamics.alike_m) + f64::from(dynamics.alike_deviations) * depth_deviation(z)
 }
 
 /// Whether two cells show one smooth surface: each one's place lies near the other's plane, and their normals are alike.
 fn is_alike(a: &Cell, b: &Cell, settings: &SurfelSettings, margin_m: f64) -> bool {
     let (Some((a, normal_a)), Some((b, normal_b))) = (a.place, b.place) else { return false };
-    let dynamics = &settings.dynamics;
-    let most_m = f64::from(dynamics.alike_m) + f64::from(dynamics.alike_deviations) * depth_deviation(a.z) + margin_m;
+    let most_m = most_apart_m(a.z, settings) + margin_m;
     (b - a).dot(normal_a).abs() <= most_m
         && (b - a).dot(normal_b).abs() <= most_m
-        && normal_a.dot(normal_b) >= f64::from(dynamics.alike_rad).cos() - margin_m
+        && normal_a.dot(normal_b) >= f64::from(settings.dynamics.alike_rad).cos() - margin_m
 }
 
 /// One step of growing.
@@ -136,7 +148,7 @@ pub fn segment(measured: &Measured<'_>, known: &Known<'_>, vacant: &[bool], marg
     }
     let mut levels = vec![cells];
     for _ in 1..dynamics.levels {
-        levels.push(coarser(&levels[levels.len() - 1]));
+        levels.push(coarser(&levels[levels.len() - 1], settings, margin_m));
     }
     let mut coarse: Option<Image<Cell>> = None;
     for mut cells in levels.into_iter().rev() {
