@@ -252,8 +252,8 @@ impl Segment {
         for (first, [places, _]) in map.each_page() {
             let bindings = segment::demote::Bindings {
                 params: segment::demote::Params {
-                    width: segmentation.camera.width,
-                    cells: finest.size[0],
+                    camera: camera_params(&segmentation.camera, options.depth_range_m),
+                    size: finest.size,
                     side: segmentation.cell_px,
                     room,
                     first,
@@ -262,6 +262,7 @@ impl Segment {
                     fallen: settings.fallen,
                     window_m: options.settings.window_m,
                     window_deviations: options.settings.window_deviations,
+                    unused: [0; 2],
                 },
                 counters: &map.counters,
                 listed: &map.listed,

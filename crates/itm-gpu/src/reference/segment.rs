@@ -6,7 +6,7 @@
 
 use glam::DVec3;
 use itm_core::surfel::Surfel;
-use itm_core::{Image, Intrinsics, Se3, SurfelSettings};
+use itm_core::{Image, Se3, SurfelSettings};
 
 use super::associate::{Measured, Role, depth_deviation, window};
 use crate::segment::CellMarks;
@@ -178,30 +178,46 @@ pub fn vacant(slots: &[Option<Surfel>], measured: &Measured<'_>) -> Vec<bool> {
     vacant
 }
 
-/// Whether a surfel that is something to the frame becomes unstable: the paper resets a stable one that is merged with what moves once its
-/// confidence is one more than it must be, so that what has come to rest is stable for a frame, and agrees with what is tracked then.
+/// Whether a surfel becomes unstable. The paper resets a stable one that is merged with what moves once its confidence is one more than it
+/// must be, so that what has come to rest is stable for a frame, and agrees with what is tracked then. One that is seen through does
+/// where that is so of most around it, and with it what no measurement says anything of, as where an object stood on the floor.
 pub fn falls(surfel: &Surfel, role: Role, cells: &Image<Cell>, measured: &Measured<'_>, margin_m: f64) -> bool {
-    let settings = measured.settings;
-    let cell = |pixel: usize| {
-        let at = |v: usize| (v as u32) / settings.dynamics.cell_px;
-        let width = measured.camera.width as usize;
-        cells[(at(pixel % width), at(pixel / width))]
+    let (settings, camera) = (measured.settings, measured.camera);
+    let centre = measured.world_from_camera.inverse().transform_point(surfel.position.as_dvec3());
+    let side = settings.dynamics.cell_px;
+    let of_pixel = |pixel: usize| {
+        let width = camera.width as usize;
+        ((pixel % width) as u32 / side, (pixel / width) as u32 / side)
     };
+    let is_vacant_near = |(x, y): (u32, u32)| {
+        (0..9).any(|k| {
+            let cell = cells.get((x + k % 3).wrapping_sub(1), (y + k / 3).wrapping_sub(1));
+            cell.is_some_and(|cell| cell.marks.vacant)
+        })
+    };
+    let depth_of = |at: (u32, u32)| cells[at].place.map(|(place, _)| place.z);
+    let window_m = window(settings, centre.z) + margin_m;
     match role {
-        Role::None | Role::Forgotten => false,
-        Role::InFront(pixel) => cell(pixel).marks.vacant && surfel.confidence >= settings.stable,
+        Role::Forgotten => false,
+        Role::None => {
+            let [near_m, far_m] = measured.depth_range_m.map(f64::from);
+            let Some(pixel) = camera.project(centre).filter(|_| (near_m..=far_m).contains(&centre.z)) else {
+                return false;
+            };
+            let pixel = (pixel + 0.5).floor();
+            if pixel.x < 0.0 || pixel.y < 0.0 || pixel.x >= camera.width.into() || pixel.y >= camera.height.into() {
+                return false;
+            }
+            let cell = (pixel.x as u32 / side, pixel.y as u32 / side);
+            let is_before = depth_of(cell).is_some_and(|z| centre.z <= z + window_m);
+            surfel.confidence >= settings.stable && is_before && is_vacant_near(cell)
+        }
+        Role::InFront(pixel) => surfel.confidence >= settings.stable && is_vacant_near(of_pixel(pixel)),
         Role::Competes(pixel) => {
-            let z = measured.world_from_camera.inverse().transform_point(surfel.position.as_dvec3()).z;
-            let is_of_cell =
-                cell(pixel).place.is_some_and(|(place, _)| (place.z - z).abs() <= window(settings, z) + margin_m);
-            cell(pixel).marks.dynamic && is_of_cell && surfel.confidence >= settings.stable + 1.0
+            let is_of_cell = depth_of(of_pixel(pixel)).is_some_and(|z| (z - centre.z).abs() <= window_m);
+            surfel.confidence >= settings.stable + 1.0 && cells[of_pixel(pixel)].marks.dynamic && is_of_cell
         }
     }
-}
-
-/// Number of finest cells to each side of a camera's images.
-pub fn size(camera: &Intrinsics, settings: &SurfelSettings) -> [u32; 2] {
-    [camera.width, camera.height].map(|side| side.div_ceil(settings.dynamics.cell_px))
 }
 
 #[cfg(test)]
