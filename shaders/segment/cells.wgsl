@@ -1,5 +1,5 @@
 // What each cell of the finest level shows: a place with a normal, and whether most of its measurements stand well in front of the
-// stable surface that was seen there from the pose before, or see through one that was stable (Keller et al. 2013, section on dynamics: the
+// stable surface that was seen there from the pose before, or see through something (Keller et al. 2013, section on dynamics: the
 // points that have no correspondence).
 import package::shared::camera::{Camera, project};
 import package::shared::cells::{DYNAMIC, VACANT, PARTLY_VACANT};

@@ -27,7 +27,7 @@ pub struct CellMarks {
 pub struct Segmentation {
     camera: Intrinsics,
     cell_px: u32,
-    /// For each pixel whether it sees through a stable surfel.
+    /// For each pixel whether it sees through a surfel.
     vacant: wgpu::Buffer,
     levels: Vec<Level>,
     /// Which marks of the finest level are the last ones.
@@ -144,7 +144,7 @@ impl Segment {
         let least_cosine = settings.alike_rad.cos();
         recorder.clear(&segmentation.vacant, segmentation.vacant.size());
         let bindings = segment::vacate::Bindings {
-            params: segment::vacate::Params { room, stable },
+            params: segment::vacate::Params { room, least: settings.fallen },
             counters: &map.counters,
             centres: &map.centres,
             targets: &map.targets,

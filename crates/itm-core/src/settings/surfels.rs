@@ -86,7 +86,7 @@ pub struct DynamicsSettings {
     pub alike_deviations: f32,
     /// … and whose normals differ by at most this angle in radians.
     pub alike_rad: f32,
-    /// Confidence that is left to stable surfels of what moves or has left.
+    /// Confidence that is left to stable surfels of what moves or has left; surfels of as much count where measurements see through them.
     pub fallen: f32,
 }
 

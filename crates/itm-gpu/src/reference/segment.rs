@@ -53,7 +53,7 @@ fn is_in_front(point: DVec3, measured: &Measured<'_>, known: &Known<'_>, margin_
     if margin_m >= 0.0 { around.any(|is| is) } else { around.all(|is| is) }
 }
 
-/// The finest cells: the middle's place, or else the first there is. `vacant` says which pixels see through a stable surfel.
+/// The finest cells: the middle's place, or else the first there is. `vacant` says which pixels see through a surfel.
 fn finest(measured: &Measured<'_>, known: &Known<'_>, vacant: &[bool], margin_m: f64) -> Image<Cell> {
     let (camera, dynamics) = (measured.camera, &measured.settings.dynamics);
     let (width, height, side) = (camera.width, camera.height, dynamics.cell_px);
@@ -167,10 +167,11 @@ pub fn segment(measured: &Measured<'_>, known: &Known<'_>, vacant: &[bool], marg
     coarse.unwrap_or_else(|| Image::filled(1, 1, Cell::default()))
 }
 
-/// Which pixels see through a stable surfel.
+/// Which pixels see through a surfel that was seen more than once.
 pub fn vacant(slots: &[Option<Surfel>], measured: &Measured<'_>) -> Vec<bool> {
     let mut vacant = vec![false; measured.camera.pixels()];
-    for surfel in slots.iter().flatten().filter(|surfel| surfel.confidence >= measured.settings.stable) {
+    let least = measured.settings.dynamics.fallen;
+    for surfel in slots.iter().flatten().filter(|surfel| surfel.confidence >= least) {
         if let Some(Role::InFront(pixel)) = super::associate::role(surfel, measured, 0.0) {
             vacant[pixel] = true;
         }
@@ -223,6 +224,7 @@ pub fn falls(surfel: &Surfel, role: Role, cells: &Image<Cell>, measured: &Measur
 #[cfg(test)]
 mod tests {
     use glam::{DVec2, Vec3};
+    use itm_core::Intrinsics;
 
     use super::*;
 
