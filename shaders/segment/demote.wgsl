@@ -27,8 +27,9 @@ struct Params {
 @group(0) @binding(3) var<storage, read> centres: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> targets: array<u32>;
 @group(0) @binding(5) var<storage, read> shown: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read> marks: array<u32>;
-@group(0) @binding(7) var<storage, read_write> places: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> facings: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> marks: array<u32>;
+@group(0) @binding(8) var<storage, read_write> places: array<vec4<f32>>;
 
 // Whether something has left one of the nine cells around.
 fn is_vacant_near(cell: vec2<u32>) -> bool {
@@ -73,7 +74,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         var falls = false;
         if goal == 0u {
             // No measurement says anything of it, as where an object stood on the floor: it left with what was around it.
-            falls = confidence >= params.stable && shown[at].w > 0.0 && z <= shown[at].z + window && is_vacant_near(cell);
+            let above = dot(facings[at].xyz, centre - shown[at].xyz);
+            falls = confidence >= params.stable && shown[at].w > 0.0 && above > window && is_vacant_near(cell);
         } else if (goal & IN_FRONT) != 0u {
             falls = confidence >= params.stable && is_vacant_near(cell);
         } else {

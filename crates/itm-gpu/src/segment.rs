@@ -269,6 +269,7 @@ impl Segment {
                 centres: &map.centres,
                 targets: &map.targets,
                 shown: &finest.places,
+                facings: &finest.normals,
                 marks: &finest.marks[newest[0]],
                 places,
             };

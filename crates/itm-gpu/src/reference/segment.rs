@@ -210,8 +210,10 @@ pub fn falls(surfel: &Surfel, role: Role, cells: &Image<Cell>, measured: &Measur
                 return false;
             }
             let cell = (pixel.x as u32 / side, pixel.y as u32 / side);
-            let is_before = depth_of(cell).is_some_and(|z| centre.z <= z + window_m);
-            surfel.confidence >= settings.stable && is_before && is_vacant_near(cell)
+            let is_above = cells[cell]
+                .place
+                .is_some_and(|(place, normal)| normal.dot(centre - place) > window(settings, centre.z) - margin_m);
+            surfel.confidence >= settings.stable && is_above && is_vacant_near(cell)
         }
         Role::InFront(pixel) => surfel.confidence >= settings.stable && is_vacant_near(of_pixel(pixel)),
         Role::Competes(pixel) => {
