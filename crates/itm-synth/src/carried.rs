@@ -41,3 +41,37 @@ pub(crate) fn carton(share: f64) -> Vec<Object> {
     let (to, turn) = (pose.translation.as_vec3(), pose.rotation.as_quat());
     pieces.map(|piece| piece.seeded(77).moved(Vec3::ZERO, to, turn)).to_vec()
 }
+
+#[cfg(test)]
+mod tests {
+    use itm_core::DepthImage;
+
+    use super::*;
+    use crate::{Path, Sequence, Spec};
+
+    /// Share of a frame's pixels that see the box, where the scene without it is seen at exactly the same depth elsewhere.
+    fn share_of_box(sequence: &Sequence, index: u32) -> f64 {
+        let frame = sequence.frame(index);
+        let DepthImage::Metres(depth) = &frame.depth else { panic!("metres") };
+        let pose = sequence.world_from_camera(index);
+        let (without, _) = crate::render_depth(sequence.scene(), &sequence.spec().camera, &pose);
+        let nearer = depth.data().iter().zip(without.data()).filter(|(with, without)| {
+            assert!(**with <= **without + 2e-4, "something stands behind what stays");
+            **with < **without - 2e-4
+        });
+        nearer.count() as f64 / depth.data().len() as f64
+    }
+
+    #[test]
+    fn the_box_stands_there_is_carried_and_out_of_view_then() {
+        let sequence = Sequence::new(Spec::new(Path::Carried).with_size(160, 120)).unwrap();
+        for (index, shares) in [(0, 0.02..0.2), (71, 0.02..0.2), (95, 0.02..0.2), (144, 0.0..1e-9), (239, 0.0..1e-9)] {
+            let share = share_of_box(&sequence, index);
+            assert!(shares.contains(&share), "frame {index}: {share}");
+        }
+        let at = |index: u32| world_from_box(f64::from(index) / 240.0);
+        assert_eq!(at(0), at(72));
+        assert!(at(94).translation.y < -f64::from(BOX_M[1]), "it has left its place");
+        assert!((1..240).all(|i| at(i).translation.distance(at(i - 1).translation) < 0.06), "no faster than 1.8 m/s");
+    }
+}
