@@ -1,7 +1,7 @@
 // Which surfel of one page each pixel's measurement belongs to, and which of those that competed with it is to be merged with it: the
 // first of several stable ones. What stands in front of a well-known surface that is seen stands in free space, and is removed
 // (Keller et al. 2013, section 5.3).
-import package::shared::surfel::{SEEN, REMOVED, IN_FRONT, place_of, rank_of, rank_of_key};
+import package::shared::surfel::{SEEN, REMOVED, IN_FRONT, pixel_of, place_of, rank_of, rank_of_key};
 
 struct Params {
     room: u32,
@@ -29,7 +29,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         if goal == 0u || index < params.first || index - params.first >= params.page {
             continue;
         }
-        let pixel = (goal & ~IN_FRONT) - 1u;
+        let pixel = pixel_of(goal);
         if (goal & IN_FRONT) != 0u {
             if best[pixel] != 0u && rank_of_key(best[pixel]) >= rank_of(params.stable) {
                 places[index - params.first] = vec4(0.0);

@@ -2,7 +2,7 @@
 // about as well known (Keller et al. 2013, section 5.2). Each surfel is compared with the measurement itself, so that the index map is as fine as one can be: no two surfels share
 // a cell of it.
 import package::shared::camera::{Camera, project};
-import package::shared::surfel::{Attributes, SEEN, IN_FRONT, depth_deviation, key_of, unpack_normal};
+import package::shared::surfel::{Attributes, SEEN, IN_FRONT, KNOWN, depth_deviation, key_of, unpack_normal};
 
 struct Params {
     camera: Camera,
@@ -18,6 +18,10 @@ struct Params {
     // In front of what is measured from here on: metres, and standard deviations more.
     free_m: f32,
     free_deviations: f32,
+    // Confidence from which on a surfel was seen more than once.
+    known: f32,
+    unused_a: u32,
+    unused_b: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -56,7 +60,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         }
         let deviation = depth_deviation(vertex.z);
         if vertex.z - centre.z > params.free_m + params.free_deviations * deviation {
-            targets[i] = (pixel + 1u) | IN_FRONT;
+            targets[i] = (pixel + 1u) | IN_FRONT | select(0u, KNOWN, place.w >= params.known);
             continue;
         }
         let facing = (params.camera_from_world * vec4(unpack_normal(attributes[at].x), 0.0)).xyz;

@@ -16,9 +16,17 @@ const UPDATED: u32 = 6u;
 const MERGED: u32 = 7u;
 const REMOVED: u32 = 8u;
 const STABLE: u32 = 9u;
+const DEMOTED: u32 = 10u;
 
 // Of a surfel's target: it stands in front of what the pixel measures.
 const IN_FRONT: u32 = 0x80000000u;
+// And that it was seen more than once.
+const KNOWN: u32 = 0x40000000u;
+
+// The pixel that a target, which is not 0, means.
+fn pixel_of(goal: u32) -> u32 {
+    return (goal & ~(IN_FRONT | KNOWN)) - 1u;
+}
 
 // Of the complement of a depth's bits, which always has it: it is left to discs that are known well enough, so that they come first.
 const PREFERRED: u32 = 0x80000000u;

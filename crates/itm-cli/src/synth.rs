@@ -17,7 +17,7 @@ const SURFACE_CELL_M: f32 = 0.02;
 /// Write a synthetic recording of furnished rooms, with exact poses and surface
 ///
 /// The folder is in the format of the TUM RGB-D benchmark, with an inertial sensor's readings, calibration.txt,
-/// surface.ply (the true surface) and synthetic_scene.txt, by which `itm run` knows the scene that it measures the
+/// surface.ply (the true surface, without what is carried away) and synthetic_scene.txt, by which `itm run` knows the scene that it measures the
 /// reconstruction against.
 #[derive(Args)]
 #[command(after_help = "\
@@ -34,8 +34,8 @@ pub(crate) struct Arguments {
     out: PathBuf,
     /// How the camera moves: arc, loop, shake (too fast), covered (a hand over the lens for a while), fast (a hand in
     /// a hurry), wall (past a bare wall), hall (a long way, much of it far from everything), corridor (30 m to its end and
-    /// back), eight (through two rooms, across its own way), rooms (ten that are taken for each other) or kidnapped (a hand
-    /// over the lens while the camera is carried to a place seen before)
+    /// back), eight (through two rooms, across its own way), rooms (ten that are taken for each other), kidnapped (a hand
+    /// over the lens while the camera is carried to a place seen before) or carried (standing, while a box is carried away)
     #[arg(long, default_value = "arc", value_parser = Path::from_str)]
     path: Path,
     /// Where: room, hall, wall, blank-wall, corridor, two-rooms or rooms, each of its own paths [default: the path's scene;
@@ -49,7 +49,8 @@ pub(crate) struct Arguments {
     #[arg(long)]
     there_and_back: bool,
     /// Seconds that the path takes, which sets the camera's speed [default: 2 (arc), 15
-    /// (loop), 12 (fast), 10 (wall), 20 (hall), 96 (corridor), 40 (eight), 90 (rooms), 18 (kidnapped), 4 (others)]
+    /// (loop), 12 (fast), 10 (wall), 20 (hall), 96 (corridor), 40 (eight), 90 (rooms), 18 (kidnapped), 8 (carried),
+    /// 4 (others)]
     #[arg(long, value_name = "SECONDS")]
     duration: Option<f64>,
     /// Width and height of the images in pixels

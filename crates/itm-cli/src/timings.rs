@@ -6,7 +6,7 @@ use std::io::{self, Write};
 use itm_slam::{FrameReport, FrameResult, FrameStatus, Timestamp};
 
 /// The stages in the order of the pipeline. `track` is measured on the host, waits included, the others on the device.
-pub(crate) const STAGES: [&str; 16] = [
+pub(crate) const STAGES: [&str; 17] = [
     "view",
     "shrink",
     "track",
@@ -21,6 +21,7 @@ pub(crate) const STAGES: [&str; 16] = [
     "normals",
     "confidence",
     "associate",
+    "segment",
     "absorb",
     "splat",
 ];

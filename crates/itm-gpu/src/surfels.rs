@@ -22,7 +22,7 @@ pub(crate) mod counter {
     pub(crate) const SEEN: u32 = 3;
     pub(crate) const NEW: u32 = 4;
     /// From this one on all are of one frame.
-    pub(crate) const OF_FRAME: std::ops::Range<u32> = NEW..10;
+    pub(crate) const OF_FRAME: std::ops::Range<u32> = NEW..11;
 }
 
 /// Surfels in pages, a list of free slots, and what a frame's passes leave for each other. Slot indices stay as the map grows.
@@ -64,25 +64,27 @@ pub struct SurfelRecord {
     pub removed: u32,
     /// Stable surfels before the frame.
     pub stable: u32,
+    /// Surfels that are stable no more, for what they belong to moves or has left.
+    pub demoted: u32,
 }
 
 impl SurfelRecord {
     /// As numbers.
-    pub fn to_words(&self) -> [u32; 9] {
-        let Self { used, free, seen, new, dropped, updated, merged, removed, stable } = *self;
-        [used, free, seen, new, dropped, updated, merged, removed, stable]
+    pub fn to_words(&self) -> [u32; 10] {
+        let Self { used, free, seen, new, dropped, updated, merged, removed, stable, demoted } = *self;
+        [used, free, seen, new, dropped, updated, merged, removed, stable, demoted]
     }
 
     /// The inverse of [`SurfelRecord::to_words`].
-    pub fn from_words(words: [u32; 9]) -> Self {
-        let [used, free, seen, new, dropped, updated, merged, removed, stable] = words;
-        Self { used, free, seen, new, dropped, updated, merged, removed, stable }
+    pub fn from_words(words: [u32; 10]) -> Self {
+        let [used, free, seen, new, dropped, updated, merged, removed, stable, demoted] = words;
+        Self { used, free, seen, new, dropped, updated, merged, removed, stable, demoted }
     }
 
     fn new(words: &[u32]) -> Self {
-        let [used, free, taken, seen, new, dropped, updated, merged, removed, stable] =
-            words[..10].try_into().expect("ten of sixteen");
-        Self { used, free: free - taken, seen, new, dropped, updated, merged, removed, stable }
+        let [used, free, taken, seen, new, dropped, updated, merged, removed, stable, demoted] =
+            words[..11].try_into().expect("eleven of sixteen");
+        Self { used, free: free - taken, seen, new, dropped, updated, merged, removed, stable, demoted }
     }
 }
 

@@ -1,4 +1,4 @@
-//! Stages `associate`, `absorb` and `splat` on the device, against their references and against scenes whose truth is known.
+//! Stages `associate`, `segment`, `absorb` and `splat` on the device, against their references and against scenes whose truth is known.
 
 #![allow(clippy::unwrap_used, reason = "this is a test, and its helpers outside of #[test] functions are too")]
 
@@ -16,11 +16,14 @@ use itm_gpu::absorb::Absorb;
 use itm_gpu::associate::Associate;
 use itm_gpu::reference::absorb as to_absorb;
 use itm_gpu::reference::associate::{Association, Measured, Role};
+use itm_gpu::reference::segment::Known;
 use itm_gpu::reference::splat::Look;
+use itm_gpu::segment::Segment;
 use itm_gpu::splat::{Drawn, Splat};
 use itm_gpu::view::ViewOptions;
 use itm_gpu::{
-    Device, Part, RaycastImage, Recorder, SurfelMap, SurfelOptions, SurfelRecord, SurfelView, View, reference,
+    Device, Part, RaycastImage, Recorder, Segmentation, SurfelMap, SurfelOptions, SurfelRecord, SurfelView, View,
+    reference,
 };
 use proptest::prelude::*;
 
@@ -44,11 +47,17 @@ struct Stages {
     associate: Associate,
     absorb: Absorb,
     splat: Splat,
+    segment: Segment,
 }
 
 impl Stages {
     fn new(device: &Device) -> Self {
-        Self { associate: Associate::new(device), absorb: Absorb::new(device), splat: Splat::new(device) }
+        Self {
+            associate: Associate::new(device),
+            absorb: Absorb::new(device),
+            splat: Splat::new(device),
+            segment: Segment::new(device),
+        }
     }
 }
 
@@ -415,6 +424,124 @@ proptest! {
                 matches!(role, Some(Role::InFront(_)))
             };
             prop_assert!(found.removed.iter().any(in_front) && !found.removed.iter().all(in_front));
+        }
+    }
+
+    #[test]
+    fn what_moves_and_what_has_left_is_marked_as_in_the_reference_and_is_unstable_then(
+        size in size(), pose in pose(), before in pose(), seed: u64, negative_fy: bool,
+        cell_px in 1u32..5, levels in 1u32..4, erosion in 0u32..3, iterations in 0u32..5,
+    ) {
+        let Some(stages) = gpu() else { return Ok(()) };
+        let camera = camera(size, negative_fy);
+        let mut noise = Noise(seed);
+        let mut fusion = Fusion::new(stages, common::one_camera(camera), 32);
+        fusion.frame = 29;
+        fusion.settings.dynamics.cell_px = cell_px;
+        fusion.settings.dynamics.levels = levels;
+        fusion.settings.dynamics.erosion = erosion;
+        fusion.settings.dynamics.iterations = iterations;
+        // Something has come to the right half, and something has left the left half.
+        let mut depth = scene().depth(&camera, &pose);
+        let within = |x: u32, y: u32, from: f64, to: f64| {
+            let (x, y) = (f64::from(x) / f64::from(camera.width), f64::from(y) / f64::from(camera.height));
+            (from..to).contains(&x) && (0.2..0.8).contains(&y)
+        };
+        let mut words = random_slots(&mut noise, &camera, &pose, camera.pixels() * 3 / 2 + 5, fusion.frame);
+        for at in 0..camera.pixels() {
+            let (x, y) = (at as u32 % camera.width, at as u32 / camera.width);
+            let z = f64::from(depth.data()[at]);
+            if z > 0.6 && within(x, y, 0.1, 0.45) {
+                let place = pose.transform_point(camera.unproject(DVec2::new(x.into(), y.into()), z - 0.35));
+                let surfel = Surfel {
+                    position: place.as_vec3(),
+                    normal: scene().normal(place, pose.translation).as_vec3(),
+                    radius_m: (0.9 * z / camera.fx) as f32,
+                    submap: 0,
+                    confidence: noise.one_of(&[8.0, 12.0, 15.0]),
+                    seen: 28,
+                    colour: None,
+                };
+                words.push(surfel.to_words());
+            } else if z > 0.6 && within(x, y, 0.55, 0.9) {
+                depth.data_mut()[at] -= 0.3;
+            }
+        }
+        fusion.see(noisy(&depth, &mut noise), None);
+        let (vertices, normals) = fusion.view.read_vertices(&fusion.gpu.device).unwrap().unwrap();
+        let (vertices, normals) = (to_reference(&vertices), to_reference(&normals));
+        let settings = fusion.settings.clone();
+        let measured = Measured {
+            camera: &camera,
+            world_from_camera: &pose,
+            depth_range_m: RANGE_M,
+            vertices: &vertices,
+            normals: &normals,
+            settings: &settings,
+            frame: fusion.frame,
+        };
+        let found = settle(&mut words, &measured);
+        let slots = parsed(&words);
+        fusion.map.grow(words.len() as u32).unwrap();
+        fusion.map.write_words(&words).unwrap();
+
+        // What was seen before, from another pose.
+        let world_from_model = pose * Se3::exp(before.log().map(|v| 0.1 * v));
+        let device = &fusion.gpu.device;
+        let model = RaycastImage::new(device, camera).unwrap();
+        let cells = Segmentation::new(device, camera, &settings.dynamics);
+        let mut recorder = Recorder::new(device);
+        let drawn = Drawn { least: 0.0, preferred: 8.0, reach: 1.5 };
+        stages.1.splat.record(&mut recorder, &fusion.map, &fusion.pixels, &model, &fusion.options(&world_from_model), drawn);
+        let options = fusion.options(&pose);
+        let calibration = &fusion.calibration;
+        stages.1.associate.record(&mut recorder, &fusion.map, &fusion.view, &fusion.pixels, calibration, &options);
+        let seen = (&model, &world_from_model);
+        stages.1.segment.record(&mut recorder, &fusion.map, &fusion.view, &cells, seen, &options);
+        let reader = fusion.map.record_counters(&mut recorder);
+        let _untimed = recorder.submit();
+        let record = reader.read(device).unwrap();
+        let marks = cells.read(device).unwrap();
+        let after = fusion.words();
+
+        let points = model.read_points(device).unwrap();
+        let point = |&[x, y, z, w]: &[f32; 4]| {
+            (w > 0.0).then(|| (DVec3::new(x.into(), y.into(), z.into()), f64::from(w) - 1.0))
+        };
+        let points = Image::new(camera.width, camera.height, points.data().iter().map(point).collect()).unwrap();
+        let known = Known { points: &points, world_from_model: &world_from_model };
+        let vacant = reference::segment::vacant(&slots, &measured);
+        let least = reference::segment::segment(&measured, &known, &vacant, -MARGIN_M);
+        let most = reference::segment::segment(&measured, &known, &vacant, MARGIN_M);
+        prop_assert_eq!(marks.size(), least.size());
+        let mut unsure = 0;
+        for (cell, found) in marks.data().iter().enumerate() {
+            let (least, most) = (least.data()[cell].marks, most.data()[cell].marks);
+            prop_assert!(found.dynamic >= least.dynamic && found.dynamic <= most.dynamic, "cell {cell}: {found:?}");
+            prop_assert!(found.vacant >= least.vacant && found.vacant <= most.vacant, "cell {cell}: {found:?}");
+            unsure += usize::from(least != most);
+        }
+        prop_assert!(unsure <= 2 + marks.data().len() / 20, "{unsure} of {} cells are not tested", marks.data().len());
+        let mut fallen = 0;
+        for (i, slot) in slots.iter().enumerate() {
+            let Some(surfel) = slot.filter(|_| !found.removed.contains(&i)) else { continue };
+            let role = reference::associate::role(&surfel, &measured, 0.0).unwrap();
+            let falls = |cells, margin_m| reference::segment::falls(&surfel, role, cells, &measured, margin_m);
+            let may = falls(&most, MARGIN_M);
+            let has = after[i] != words[i];
+            prop_assert!(has >= falls(&least, -MARGIN_M) && has <= may, "surfel {i}, {role:?}: {has}");
+            if has {
+                let mut expected = words[i];
+                expected[3] = settings.dynamics.fallen.to_bits();
+                prop_assert_eq!(after[i], expected);
+                fallen += 1;
+            }
+        }
+        prop_assert_eq!(record.demoted, fallen);
+        // The cases are worth their name.
+        if camera.pixels() > 1000 && erosion < 2 && cell_px < 4 {
+            let count = |is: fn(&itm_gpu::segment::CellMarks) -> bool| marks.data().iter().filter(|m| is(m)).count();
+            prop_assert!(count(|m| m.dynamic) > 5 && count(|m| m.vacant) > 5 && fallen > 5, "{record:?}");
         }
     }
 

@@ -93,6 +93,8 @@ pub(crate) struct Place {
     pub(crate) submap_from_camera: Se3,
     /// Where the colour camera was, beside the depth camera, when its image was taken.
     pub(crate) colour_from_depth: Se3,
+    /// The pose that the model was last cast from, if it was.
+    pub(crate) submap_from_model: Option<Se3>,
 }
 
 struct Waiting {
@@ -487,7 +489,7 @@ impl Mapper {
         if let Some(surfels) = &mut self.surfels {
             return surfels.fuse((self.frames, frame), view, at, &model.image, times);
         }
-        let Place { submap, submap_from_camera: world_from_camera, colour_from_depth } = at;
+        let Place { submap, submap_from_camera: world_from_camera, colour_from_depth, .. } = at;
         self.map.look_at(*submap);
         let camera = self.calibration.depth;
         let [near_m, far_m] = [self.settings.view.min_depth_m, self.settings.view.max_depth_m];

@@ -482,7 +482,9 @@ impl Slam {
                     happenings.extend(places.remember(&self.device, submap, &world_from_camera, time)?);
                 }
                 let submap = self.primary.submap;
-                let place = Place { submap, submap_from_camera: world_from_camera, colour_from_depth };
+                let submap_from_model = self.primary.submap_from_model;
+                let place =
+                    Place { submap, submap_from_camera: world_from_camera, colour_from_depth, submap_from_model };
                 fused = self.mapper.fuse(frame.index, &self.view, &place, &mut self.primary.model, times)?;
                 if !fused {
                     (status, pose) = (FrameStatus::NoDepth, None);

@@ -10,10 +10,11 @@ use itm_core::{
 };
 use itm_gpu::absorb::Absorb;
 use itm_gpu::associate::Associate;
+use itm_gpu::segment::Segment;
 use itm_gpu::splat::{Drawn, Splat};
 use itm_gpu::{
-    Device, Part, RaycastImage, Recorder, StageTimes, SurfelMap, SurfelOptions, SurfelRecord, SurfelRecordReader,
-    SurfelState, SurfelView, View,
+    Device, Part, RaycastImage, Recorder, Segmentation, StageTimes, SurfelMap, SurfelOptions, SurfelRecord,
+    SurfelRecordReader, SurfelState, SurfelView, View,
 };
 
 use serde::{Deserialize, Serialize};
@@ -40,6 +41,8 @@ pub(crate) struct Surfels {
     associate: Associate,
     absorb: Absorb,
     splat: Splat,
+    /// Finds what moves, where the settings ask for it.
+    segment: Option<(Segment, Segmentation)>,
     waiting: VecDeque<Waiting>,
     /// Surfels that one frame asked for lately; decays.
     demand: u32,
@@ -87,7 +90,7 @@ pub(crate) struct SurfelsState {
 struct WaitingState {
     place: u64,
     frame: u64,
-    record: [u32; 9],
+    record: [u32; 10],
 }
 
 /// What became known of a frame some frames later.
@@ -137,6 +140,10 @@ impl Surfels {
             associate: Associate::new(device),
             absorb: Absorb::new(device),
             splat: Splat::new(device),
+            segment: own
+                .dynamics
+                .enabled
+                .then(|| (Segment::new(device), Segmentation::new(device, calibration.depth, &own.dynamics))),
             waiting: VecDeque::new(),
             demand: 0,
             fused: 0,
@@ -265,8 +272,8 @@ impl Surfels {
         }
     }
 
-    /// Fuses a view into a submap, and draws what the camera sees of it into `image` for the next frame's tracking. Returns whether
-    /// there is a map: a view without depth cannot begin one.
+    /// Fuses a view into a submap, and draws what the camera sees of it into `image` for the next frame's tracking; what that holds
+    /// until then was seen from the place's model. Returns whether there is a map: a view without depth cannot begin one.
     pub(crate) fn fuse(
         &mut self,
         at: (u64, u64),
@@ -275,7 +282,7 @@ impl Surfels {
         image: &RaycastImage,
         mut times: Vec<StageTimes>,
     ) -> Result<bool, Error> {
-        let Place { submap, submap_from_camera, colour_from_depth } = place;
+        let Place { submap, submap_from_camera, colour_from_depth, submap_from_model } = place;
         if self.fused == 0 || self.beginning {
             let measured = view.read_depth(&self.device, 0)?.data().iter().filter(|z| **z > 0.0).count() as u32;
             if measured == 0 {
@@ -292,6 +299,9 @@ impl Surfels {
         let options = self.options(*submap, submap_from_camera);
         let calibration = Calibration { colour_from_depth: *colour_from_depth, ..self.calibration };
         self.associate.record(&mut recorder, &self.map, view, &self.pixels, &calibration, &options);
+        if let (Some((segment, cells)), Some(seen_from)) = (&self.segment, submap_from_model) {
+            segment.record(&mut recorder, &self.map, view, cells, (image, seen_from), &options);
+        }
         self.absorb.record(&mut recorder, &self.map, view, &self.pixels, &options);
         if self.fused.is_multiple_of(FREE_EVERY) {
             self.absorb.record_free(&mut recorder, &self.map, &self.pixels);
@@ -367,7 +377,23 @@ impl Slam {
     /// # Errors
     /// Where the device was lost.
     pub fn surfels(&self) -> Result<Vec<Surfel>, Error> {
-        let Some(surfels) = &self.mapper.surfels else { return Ok(Vec::new()) };
+        self.mapper.surfels.as_ref().map_or_else(|| Ok(Vec::new()), |surfels| Ok(self.in_world(surfels.stable()?)))
+    }
+
+    /// Where each submap lies in the world, by its number; empty where the map is one.
+    pub(crate) fn poses_of_submaps(&self) -> Vec<Se3> {
+        self.submaps().iter().map(|submap| submap.world_from_submap).collect()
+    }
+
+    /// All surfels, unstable ones too, in the world's frame. Waits. None where the map is one of voxels.
+    ///
+    /// # Errors
+    /// Where the device was lost.
+    pub fn all_surfels(&self) -> Result<Vec<Surfel>, Error> {
+        self.mapper.surfels.as_ref().map_or_else(|| Ok(Vec::new()), |surfels| Ok(self.in_world(surfels.map.read()?)))
+    }
+
+    fn in_world(&self, surfels: Vec<Surfel>) -> Vec<Surfel> {
         let poses = self.poses_of_submaps();
         let in_world = |surfel: Surfel| match poses.get(usize::from(surfel.submap)) {
             Some(pose) => Surfel {
@@ -377,12 +403,7 @@ impl Slam {
             },
             None => surfel,
         };
-        Ok(surfels.stable()?.into_iter().map(in_world).collect())
-    }
-
-    /// Where each submap lies in the world, by its number; empty where the map is one.
-    pub(crate) fn poses_of_submaps(&self) -> Vec<Se3> {
-        self.submaps().iter().map(|submap| submap.world_from_submap).collect()
+        surfels.into_iter().map(in_world).collect()
     }
 
     /// A mesh of the surfels: what the camera would see of them along its way, fused into voxels of `map.voxel_size_m`.

@@ -12,8 +12,8 @@ use crate::{Path, SceneName};
 pub enum Error {
     /// No path has this name.
     #[error(
-        "there is no path named '{found}'; there are arc, loop, shake, covered, fast, wall, hall, corridor, eight, rooms \
-         and kidnapped"
+        "there is no path named '{found}'; there are arc, loop, shake, covered, fast, wall, hall, corridor, eight, rooms, \
+         kidnapped and carried"
     )]
     UnknownPath {
         /// The name asked for.

@@ -10,6 +10,7 @@
 //! Worlds are in metres with y pointing down, so that a level camera's axes are the world's. Everything follows from a
 //! seed and does not depend on the number of threads.
 
+mod carried;
 mod corridor;
 mod cover;
 mod error;

@@ -8,7 +8,7 @@ use glam::DVec3;
 use itm_core::Se3;
 
 use crate::walk::{self, look};
-use crate::{Cover, Error, SceneName};
+use crate::{Cover, Error, Object, SceneName, carried};
 
 /// A way through a scene, as a smooth function of time that goes on after its duration: some go back, the others start
 /// again.
@@ -48,11 +48,14 @@ pub enum Path {
     /// lens is covered, and free again when the camera is back where it started: a place seen before that is too far away
     /// from the last one seen to be found by searching around it. From rest to rest, ending where it starts.
     Kidnapped,
+    /// Standing in the room, swaying a little, with a box on the floor in view, which somebody lifts and carries out of view from
+    /// 30 to 60 % of the time ([`Path::carried`]). It stands there again in each repetition.
+    Carried,
 }
 
 impl Path {
     /// Every path.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Arc,
         Self::Loop,
         Self::Shake,
@@ -64,6 +67,7 @@ impl Path {
         Self::Eight,
         Self::Rooms,
         Self::Kidnapped,
+        Self::Carried,
     ];
 
     /// The name that [`FromStr`] reads.
@@ -80,6 +84,7 @@ impl Path {
             Self::Eight => "eight",
             Self::Rooms => "rooms",
             Self::Kidnapped => "kidnapped",
+            Self::Carried => "carried",
         }
     }
 
@@ -99,13 +104,16 @@ impl Path {
             Self::Eight => 40.0,
             Self::Rooms => 90.0,
             Self::Kidnapped => 18.0,
+            Self::Carried => 8.0,
         }
     }
 
     /// The scenes that the path leads through, the usual one first.
     pub fn scenes(self) -> &'static [SceneName] {
         match self {
-            Self::Arc | Self::Loop | Self::Shake | Self::Covered | Self::Fast | Self::Kidnapped => &[SceneName::Room],
+            Self::Arc | Self::Loop | Self::Shake | Self::Covered | Self::Fast | Self::Kidnapped | Self::Carried => {
+                &[SceneName::Room]
+            }
             Self::Wall => &[SceneName::Wall, SceneName::BlankWall],
             Self::Hall => &[SceneName::Hall],
             Self::Corridor => &[SceneName::Corridor],
@@ -167,7 +175,26 @@ impl Path {
             Self::Eight => walk::eight(a),
             Self::Rooms => walk::rooms(1.0 - (turn.rem_euclid(2.0) - 1.0).abs()),
             Self::Kidnapped => walk::kidnapped(turn.rem_euclid(1.0)),
+            Self::Carried => {
+                let sway = |times: f64, phase: f64| (times * a + phase).sin();
+                let position = DVec3::new(0.3, -1.4, -0.1)
+                    + DVec3::new(0.04 * sway(2.0, 0.0), 0.02 * sway(3.0, 1.0), 0.03 * sway(1.0, 2.0));
+                look(position, -1.57 + 0.05 * sway(2.0, 0.5), -0.55 + 0.03 * sway(3.0, 1.5), 0.02 * sway(1.0, 0.2))
+            }
         }
+    }
+
+    /// What is carried through the scene at a time in seconds, for a path that takes `duration_s`: objects beside the scene's own.
+    pub fn carried(self, time_s: f64, duration_s: f64) -> Vec<Object> {
+        match self {
+            Self::Carried => carried::carton((time_s / duration_s).rem_euclid(1.0)),
+            _ => Vec::new(),
+        }
+    }
+
+    /// Pose of what [`Path::carried`] gives, if it gives anything: its origin is the middle of the bottom, y points down.
+    pub fn world_from_carried(self, time_s: f64, duration_s: f64) -> Option<Se3> {
+        (self == Self::Carried).then(|| carried::world_from_box((time_s / duration_s).rem_euclid(1.0)))
     }
 
     /// What the path has over the lens, if anything.
@@ -233,6 +260,7 @@ mod tests {
             (Path::Eight, 0.7..=0.8, 10.0..=40.0),
             (Path::Rooms, 0.5..=0.8, 30.0..=50.0),
             (Path::Kidnapped, 0.3..=0.5, 30.0..=50.0),
+            (Path::Carried, 0.04..=0.1, 3.0..=10.0),
         ] {
             let (linear, angular) = speeds(path);
             assert!(m_per_s.contains(&linear), "{path}: {linear} m/s");
@@ -269,7 +297,8 @@ mod tests {
 
     #[test]
     fn closed_paths_close() {
-        for path in [Path::Loop, Path::Covered, Path::Shake, Path::Fast, Path::Corridor, Path::Eight, Path::Kidnapped] {
+        let closed = [Path::Loop, Path::Covered, Path::Shake, Path::Fast, Path::Corridor, Path::Eight, Path::Kidnapped];
+        for path in closed.into_iter().chain([Path::Carried]) {
             let d = path.default_duration_s();
             let gap = path.world_from_camera(0.0, d).inverse() * path.world_from_camera(d, d);
             assert!(gap.translation.length() < 1e-9 && gap.angle() < 1e-9, "{path}");

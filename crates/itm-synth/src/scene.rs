@@ -1,5 +1,7 @@
 //! A scene: solids with materials, lamps, and the distance from anywhere to the nearest surface.
 
+use std::sync::Arc;
+
 use glam::{IVec3, Mat3, Quat, Vec3};
 
 use crate::{Material, Shape};
@@ -130,7 +132,9 @@ pub struct Scene {
     objects: Vec<Object>,
     lamps: Vec<Lamp>,
     bounds: Bounds,
-    grid: Grid,
+    grid: Arc<Grid>,
+    /// Objects that the grid knows; those behind them are asked each time.
+    in_grid: usize,
 }
 
 impl Scene {
@@ -139,8 +143,16 @@ impl Scene {
     /// `bounds` is where the scene takes place: queries are fast there, and a mesh of the scene covers it. Objects may
     /// reach beyond.
     pub fn new(objects: Vec<Object>, bounds: Bounds) -> Self {
-        let grid = Grid::new(&objects, &bounds);
-        Self { objects, lamps: Vec::new(), bounds, grid }
+        let grid = Arc::new(Grid::new(&objects, &bounds));
+        let in_grid = objects.len();
+        Self { objects, lamps: Vec::new(), bounds, grid, in_grid }
+    }
+
+    /// The same scene with further objects, such as some that move: this is quick, but each of them makes all queries slower.
+    pub fn and(&self, objects: impl IntoIterator<Item = Object>) -> Self {
+        let mut scene = self.clone();
+        scene.objects.extend(objects);
+        scene
     }
 
     /// The same scene with lamps.
@@ -193,12 +205,18 @@ impl Scene {
                     best = (d, candidate.object as usize);
                 }
             }
+            self.nearest_of(self.in_grid, p, best)
         } else {
-            for (i, object) in self.objects.iter().enumerate() {
-                let d = object.distance(p);
-                if d < best.0 {
-                    best = (d, i);
-                }
+            self.nearest_of(0, p, best)
+        }
+    }
+
+    /// The nearest of the objects from one on and the best of others.
+    fn nearest_of(&self, first: usize, p: Vec3, mut best: (f32, usize)) -> (f32, usize) {
+        for (i, object) in self.objects.iter().enumerate().skip(first) {
+            let d = object.distance(p);
+            if d < best.0 {
+                best = (d, i);
             }
         }
         best
@@ -313,6 +331,8 @@ mod tests {
             static ROOM: LazyLock<Scene> = LazyLock::new(Scene::room);
             let by_hand = ROOM.objects.iter().map(|o| o.distance(p)).fold(f32::INFINITY, f32::min);
             prop_assert_eq!(ROOM.distance(p), by_hand);
+            let ball = Object::new(Shape::Sphere { radius: 0.2 }, Material::default()).at(0.3, -1.2, 0.1);
+            prop_assert_eq!(ROOM.and([ball]).distance(p), by_hand.min(ball.distance(p)));
         }
     }
 

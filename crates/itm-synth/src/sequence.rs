@@ -1,5 +1,6 @@
 //! A recording that is made as it is read.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use glam::Vec3;
@@ -188,9 +189,15 @@ impl Sequence {
         &self.spec
     }
 
-    /// The scene.
+    /// The scene: what stays of it, without what is carried through it ([`Path::carried`]).
     pub fn scene(&self) -> &Scene {
         &self.scene
+    }
+
+    /// The scene with what is carried through it at a time from the start of the recording.
+    fn scene_at(&self, time_s: f64) -> Cow<'_, Scene> {
+        let carried = self.spec.path.carried(self.path_seconds(time_s), self.spec.duration_s);
+        if carried.is_empty() { Cow::Borrowed(&self.scene) } else { Cow::Owned(self.scene.and(carried)) }
     }
 
     /// The camera, and how depth is encoded where it is written to files.
@@ -258,14 +265,15 @@ impl Sequence {
         let Spec { camera, quality, seed, .. } = self.spec;
         let world_from_camera = self.world_from_camera(index);
         let covered = self.covered_share(index);
+        let scene = self.scene_at(self.seconds(index));
         let together = self.spec.colour_delay_s == 0.0 && self.spec.motion_blur_s == 0.0;
         let (mut depth, colour) = if covered >= 1.0 {
             (Image::filled(camera.width, camera.height, 0.0), None)
         } else if self.spec.colour && together {
-            let Rendering { depth, normals, colour } = render(&self.scene, &camera, &world_from_camera, quality);
+            let Rendering { depth, normals, colour } = render(&scene, &camera, &world_from_camera, quality);
             (self.sense(depth, &normals, index), Some(colour))
         } else {
-            let (depth, normals) = render_depth(&self.scene, &camera, &world_from_camera);
+            let (depth, normals) = render_depth(&scene, &camera, &world_from_camera);
             (self.sense(depth, &normals, index), None)
         };
         if covered > 0.0 && covered < 1.0 {
@@ -300,7 +308,7 @@ impl Sequence {
     /// Colour as the camera sees it around a time.
     fn colour_at(&self, time_s: f64) -> ColourImage {
         let Spec { camera, quality, motion_blur_s, .. } = self.spec;
-        let at = |time_s: f64| render_colour(&self.scene, &camera, &self.pose_at(time_s), quality);
+        let at = |time_s: f64| render_colour(&self.scene_at(time_s), &camera, &self.pose_at(time_s), quality);
         if motion_blur_s == 0.0 {
             return at(time_s);
         }

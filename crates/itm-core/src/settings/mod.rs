@@ -12,7 +12,7 @@ use thiserror::Error;
 use crate::voxel::{BEST_OBSERVATION, DistanceKind};
 pub use relocaliser::{RelocaliserImage, RelocaliserKind, RelocaliserSettings};
 pub use submaps::SubmapSettings;
-pub use surfels::SurfelSettings;
+pub use surfels::{DynamicsSettings, SurfelSettings};
 pub use tracker::{
     CompositePolicy, CompositeSettings, DepthWeight, ExtendedSettings, FileSettings, ForwardProjectionSettings,
     IcpSettings, ImuSettings, OnFailure, RgbSettings, TrackerKind, TrackerSettings, VerdictSettings,

@@ -54,6 +54,59 @@ pub struct SurfelSettings {
     pub free_m: f32,
     /// … and so many standard deviations of depth, are removed.
     pub free_deviations: f32,
+    /// What becomes of objects that move.
+    pub dynamics: DynamicsSettings,
+}
+
+/// How objects that move are found, whose surfels become unstable then (Keller et al. 2013, section on dynamics): where measurements stand in front
+/// of what is known, and where they see through it, grown over surfaces in cells of the image.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DynamicsSettings {
+    /// Whether objects that move are looked for.
+    pub enabled: bool,
+    /// What moves starts where measurements stand in front of stable surfels by more than this many metres …
+    pub gate_m: f32,
+    /// … and so many standard deviations of depth (a Kinect's) more.
+    pub gate_deviations: f32,
+    /// Pixels to a side of the finest cells.
+    pub cell_px: u32,
+    /// Levels of cells, each of twice the size of the one before.
+    pub levels: u32,
+    /// Share of a cell's measurements that must disagree with the map for the cell to do so.
+    pub min_share: f32,
+    /// So many times the outermost of the finest cells are taken away from what disagrees: what is not wider than twice as many cells
+    /// is noise.
+    pub erosion: u32,
+    /// Steps of growing on each level.
+    pub iterations: u32,
+    /// What moves grows over cells whose places lie within this many metres of each other's planes …
+    pub alike_m: f32,
+    /// … and so many standard deviations of depth more …
+    pub alike_deviations: f32,
+    /// … and whose normals differ by at most this angle in radians.
+    pub alike_rad: f32,
+    /// Confidence that is left to stable surfels of what moves or has left; surfels of as much count where measurements see through them.
+    pub fallen: f32,
+}
+
+impl Default for DynamicsSettings {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            gate_m: 0.03,
+            gate_deviations: 3.0,
+            cell_px: 4,
+            levels: 3,
+            min_share: 0.3,
+            erosion: 1,
+            iterations: 8,
+            alike_m: 0.01,
+            alike_deviations: 2.0,
+            alike_rad: 0.35,
+            fallen: 1.0,
+        }
+    }
 }
 
 impl Default for SurfelSettings {
@@ -81,6 +134,7 @@ impl Default for SurfelSettings {
             merge_rad: 0.35,
             free_m: 0.03,
             free_deviations: 3.0,
+            dynamics: DynamicsSettings::default(),
         }
     }
 }
@@ -122,6 +176,33 @@ impl SurfelSettings {
             ("surfels.merge_rad", self.merge_rad, 0.0, 1.57, "between 0 and 1.57"),
             ("surfels.free_m", self.free_m, 0.0, 10.0, "between 0 and 10"),
             ("surfels.free_deviations", self.free_deviations, 0.0, 100.0, "between 0 and 100"),
+        ] {
+            check((least..=most).contains(&value), key, expected, value)?;
+        }
+        self.dynamics.validate(self.stable)
+    }
+}
+
+impl DynamicsSettings {
+    /// Checks every value's range, given the confidence from which on surfels are stable.
+    fn validate(&self, stable: f32) -> Result<(), SettingsError> {
+        let most_fallen = if self.enabled { stable } else { 1e6 };
+        for (key, value, least, most, expected) in [
+            ("surfels.dynamics.cell_px", self.cell_px, 1, 256, "a whole number from 1 to 256"),
+            ("surfels.dynamics.levels", self.levels, 1, 8, "a whole number from 1 to 8"),
+            ("surfels.dynamics.erosion", self.erosion, 0, 16, "at most 16"),
+            ("surfels.dynamics.iterations", self.iterations, 0, 256, "at most 256"),
+        ] {
+            check((least..=most).contains(&value), key, expected, value)?;
+        }
+        for (key, value, least, most, expected) in [
+            ("surfels.dynamics.gate_m", self.gate_m, 0.0, 10.0, "between 0 and 10"),
+            ("surfels.dynamics.gate_deviations", self.gate_deviations, 0.0, 100.0, "between 0 and 100"),
+            ("surfels.dynamics.min_share", self.min_share, 0.0, 1.0, "between 0 and 1"),
+            ("surfels.dynamics.alike_m", self.alike_m, 0.0, 10.0, "between 0 and 10"),
+            ("surfels.dynamics.alike_deviations", self.alike_deviations, 0.0, 100.0, "between 0 and 100"),
+            ("surfels.dynamics.alike_rad", self.alike_rad, 0.0, 1.57, "between 0 and 1.57"),
+            ("surfels.dynamics.fallen", self.fallen, 1e-3, most_fallen, "between 0.001 and surfels.stable"),
         ] {
             check((least..=most).contains(&value), key, expected, value)?;
         }

@@ -144,7 +144,7 @@ pub fn window(settings: &SurfelSettings, z: f64) -> f64 {
 
 /// A Kinect's standard deviation of depth in metres (Nguyen et al. 2012, *Modeling Kinect Sensor Noise for Improved 3D
 /// Reconstruction and Tracking*), from 0.4 m on.
-fn depth_deviation(z: f64) -> f64 {
+pub(crate) fn depth_deviation(z: f64) -> f64 {
     0.0012 + 0.0019 * (z - 0.4).max(0.0).powi(2)
 }
 

@@ -21,6 +21,7 @@ pub mod query;
 pub mod ranges;
 pub mod raycast;
 pub mod render;
+pub mod segment;
 pub mod shrink;
 pub mod splat;
 pub mod view;
