@@ -1,9 +1,9 @@
 // Colours a raycast image by what is known of its points: grey by their normals, with the light at the camera (Lambert), the
-// normals themselves, or depth or confidence on a scale of colours.
+// same with a highlight (Phong), the normals themselves, or depth or confidence on a scale of colours.
 
 struct Params {
     size: vec2<u32>,
-    // 0: shaded grey. 1: normals. 2: depth. 3: confidence.
+    // 0: shaded grey. 1: normals. 2: depth. 3: confidence. 4: grey with a highlight.
     kind: u32,
     unused_a: u32,
     // The camera's centre (world frame).
@@ -24,6 +24,8 @@ struct Params {
 const GREY: u32 = 0u;
 const NORMALS: u32 = 1u;
 const DEPTH: u32 = 2u;
+const PHONG: u32 = 4u;
+const SHININESS: f32 = 20.0;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -34,7 +36,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
 }
 
 fn colour_of(point: vec4<f32>, normal: vec4<f32>) -> vec4<f32> {
-    if params.kind == GREY || params.kind == NORMALS {
+    if params.kind == GREY || params.kind == NORMALS || params.kind == PHONG {
         if normal.w == 0.0 {
             return vec4(0.0);
         }
@@ -42,7 +44,13 @@ fn colour_of(point: vec4<f32>, normal: vec4<f32>) -> vec4<f32> {
             return vec4(0.5 + 0.5 * normal.xyz, 1.0);
         }
         let light = normalize(params.camera.xyz - point.xyz);
-        return vec4(vec3(0.15 + 0.8 * abs(dot(normal.xyz, light))), 1.0);
+        let facing = min(abs(dot(normal.xyz, light)), 1.0);
+        if params.kind == PHONG {
+            // Light and eye are one, so that the reflected ray's angle to the eye is twice the light's to the normal.
+            let mirrored = max(2.0 * facing * facing - 1.0, 0.0);
+            return vec4(vec3(0.1 + 0.6 * facing + 0.3 * pow(mirrored, SHININESS)), 1.0);
+        }
+        return vec4(vec3(0.15 + 0.8 * facing), 1.0);
     }
     if point.w == 0.0 {
         return vec4(0.0);

@@ -42,7 +42,7 @@ pub(crate) fn of(slam: &mut Slam, mesh: Option<&Mesh>) -> Vec<Picture> {
     }
     let mut painted = |(from, pose, depth_m, shading)| {
         let shown = match shading {
-            Shading::Grey => "shape",
+            Shading::Grey | Shading::Phong => "shape",
             Shading::Normals => "normals",
             Shading::Colour => "colour",
             Shading::Depth => "depth",

@@ -10,7 +10,7 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder as _};
 use itm_core::{Image, Intrinsics, Se3, Settings, Trajectory};
 use itm_io::mesh::UpAxis;
-use itm_slam::{BlockSource, MapViews, SavedMap, Scale, Shading, Slam, full_confidence};
+use itm_slam::{BlockSource, ColourImage, MapViews, SavedMap, Scale, Shading, Slam, full_confidence};
 use serde_json::json;
 
 use crate::{console, maps, pictures, synth};
@@ -91,6 +91,8 @@ pub(crate) struct Arguments {
 enum Kind {
     /// Shape, lit from the camera
     Grey,
+    /// The same with highlights
+    Phong,
     /// The map's colours
     #[value(alias = "color")]
     Colour,
@@ -150,23 +152,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let (count, size) = (poses.len(), (camera.width, camera.height));
-    if arguments.json {
-        let mut answer = json!({ "files": files, "width": size.0, "height": size.1 });
-        if arguments.points {
-            answer["points"] = points.into();
-        }
-        console::print_json(&answer)?;
-    } else if !arguments.quiet {
-        let shown = arguments.out.display();
-        let what = match (arguments.points, count) {
-            (true, 1) => format!("{points} points"),
-            (true, _) => format!("{count} clouds, {points} points in all"),
-            (false, 1) => "1 picture".into(),
-            (false, _) => format!("{count} pictures"),
-        };
-        console::print(format_args!("{shown}: {what} of {}x{} pixels", size.0, size.1))?;
-    }
+    arguments.tell(&files, points, &camera)?;
     Ok(0)
 }
 
@@ -174,6 +160,7 @@ impl Arguments {
     fn shading(&self) -> Shading {
         match self.kind {
             Kind::Grey => Shading::Grey,
+            Kind::Phong => Shading::Phong,
             Kind::Colour => Shading::Colour,
             Kind::Normals => Shading::Normals,
             Kind::Depth => Shading::Depth,
@@ -209,41 +196,71 @@ impl Arguments {
 
     /// Renders a map of surfels.
     fn draw_surfels(&self, mut slam: Slam, given: Option<Intrinsics>, poses: Option<&Trajectory>) -> Result<u8> {
-        let of_voxels = [("--submap", self.submap.is_some()), ("--points", self.points)];
-        if let Some((option, _)) = of_voxels.into_iter().find(|(_, given)| *given) {
-            bail!("{option} is for maps of voxels; 'itm mesh --points' writes the surfels of '{}'", self.map.display());
+        if self.submap.is_some() {
+            bail!("--submap is for maps of voxels; of '{}' all submaps are shown", self.map.display());
         }
         let camera = self.camera(given.unwrap_or(slam.calibration().depth));
         let poses = self.poses(poses.unwrap_or(slam.trajectory()))?;
         let max_depth_m = self.max_depth.unwrap_or(slam.settings().view.max_depth_m);
         self.make_folder()?;
         let bar = console::bar(poses.len() as u64, "views", self.quiet);
-        let mut files = Vec::new();
+        let (mut files, mut points) = (Vec::new(), 0);
         for (i, pose) in poses.iter().enumerate() {
-            let path = self.file(i, "png");
-            let picture = slam.render(&camera, pose, max_depth_m, self.shading())?;
-            write(&path, pictures::encode(picture.size(), picture.data().as_flattened()))?;
+            let path = self.file(i, if self.points { "ply" } else { "png" });
+            let seen = slam.seen_surfels(&camera, pose, max_depth_m)?;
+            if self.points {
+                points += seen.points.positions.len();
+                itm_io::points::write(&path, &seen.points, UpAxis::default())?;
+            } else {
+                let picture = slam.render(&camera, pose, max_depth_m, self.shading())?;
+                self.write_picture(&path, &picture, || Ok(seen.depth_millimetres))?;
+            }
             files.push(path);
             bar.inc(1);
         }
         bar.finish_and_clear();
-        if self.json {
-            console::print_json(&json!({ "files": files, "width": camera.width, "height": camera.height }))?;
-        } else if !self.quiet {
-            let count = if files.len() == 1 { "1 picture".into() } else { format!("{} pictures", files.len()) };
-            let shown = self.out.display();
-            console::print(format_args!("{shown}: {count} of {}x{} pixels", camera.width, camera.height))?;
-        }
+        self.tell(&files, points, &camera)?;
         Ok(0)
+    }
+
+    /// Prints what was written.
+    fn tell(&self, files: &[PathBuf], points: usize, camera: &Intrinsics) -> Result<()> {
+        let (count, size) = (files.len(), (camera.width, camera.height));
+        if self.json {
+            let mut answer = json!({ "files": files, "width": size.0, "height": size.1 });
+            if self.points {
+                answer["points"] = points.into();
+            }
+            console::print_json(&answer)?;
+        } else if !self.quiet {
+            let shown = self.out.display();
+            let what = match (self.points, count) {
+                (true, 1) => format!("{points} points"),
+                (true, _) => format!("{count} clouds, {points} points in all"),
+                (false, 1) => "1 picture".into(),
+                (false, _) => format!("{count} pictures"),
+            };
+            console::print(format_args!("{shown}: {what} of {}x{} pixels", size.0, size.1))?;
+        }
+        Ok(())
     }
 
     /// Writes a picture of the view, with depth its millimetres as well.
     fn draw(&self, views: &MapViews, scale: &Scale, path: &Path) -> Result<()> {
         let picture = views.picture(self.shading(), scale)?;
+        self.write_picture(path, &picture, || Ok(views.depth_millimetres()?))
+    }
+
+    fn write_picture(
+        &self,
+        path: &Path,
+        picture: &ColourImage,
+        depth_millimetres: impl FnOnce() -> Result<Image<u16>>,
+    ) -> Result<()> {
         write(path, pictures::encode(picture.size(), picture.data().as_flattened()))?;
         if self.kind == Kind::Depth {
             let name = format!("{}-mm.png", path.file_stem().unwrap_or_default().to_string_lossy());
-            write(&path.with_file_name(name), encode_depth(&views.depth_millimetres()?))?;
+            write(&path.with_file_name(name), encode_depth(&depth_millimetres()?))?;
         }
         Ok(())
     }

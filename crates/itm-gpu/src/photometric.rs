@@ -12,7 +12,7 @@ use crate::map::camera_params;
 use crate::raycast::page_features;
 use crate::recorder::{Groups, Pipeline};
 use crate::sums::{PhotometricSums, Reduce, Shares};
-use crate::{BlockMap, Device, Error, RaycastImage, Recorder, View};
+use crate::{BlockMap, Device, Error, RaycastImage, Recorder, SurfelView, View};
 
 /// Surface points with colours, at several levels, each with a quarter of the points of the one before.
 #[derive(Debug)]
@@ -94,6 +94,7 @@ pub struct Photometric {
     rgb_sums: OnceLock<Pipeline>,
     previous: OnceLock<Pipeline>,
     map: [OnceLock<Pipeline>; 4],
+    surfels: OnceLock<Pipeline>,
     halve: OnceLock<Pipeline>,
     shares: Shares,
 }
@@ -110,6 +111,7 @@ impl Photometric {
             rgb_sums: OnceLock::new(),
             previous: OnceLock::new(),
             map: Default::default(),
+            surfels: OnceLock::new(),
             halve: OnceLock::new(),
             shares: Shares::new(device),
         }
@@ -183,6 +185,34 @@ impl Photometric {
         };
         let pipeline = self.map[pages - 1]
             .get_or_init(|| Pipeline::new(&self.device, &photometric::map::PASS, page_features(pages), &[]));
+        recorder.dispatch(pipeline, &bindings, Groups::linear(u64::from(width * height), 64));
+        self.halve(recorder, list, world_from_model);
+    }
+
+    /// The same with the colours of surfels, as [`crate::splat`] has drawn them into `model` and `pixels`.
+    pub fn list_surfels(
+        &self,
+        recorder: &mut Recorder,
+        list: &PointList,
+        model: &RaycastImage,
+        pixels: &SurfelView,
+        world_from_model: &Se3,
+    ) {
+        recorder.stage("photometric");
+        let ((width, height), points) = &list.levels[0];
+        let bindings = photometric::surfels::Bindings {
+            params: photometric::surfels::Params {
+                size: [model.camera().width, model.camera().height],
+                list_size: [*width, *height],
+                stride: 1 << list.finest,
+                unused_a: 0,
+                unused_b: [0; 2],
+            },
+            points: &model.points,
+            colours: &pixels.colours,
+            list: points,
+        };
+        let pipeline = self.surfels.get_or_init(|| Pipeline::plain(&self.device, &photometric::surfels::PASS));
         recorder.dispatch(pipeline, &bindings, Groups::linear(u64::from(width * height), 64));
         self.halve(recorder, list, world_from_model);
     }

@@ -15,6 +15,9 @@ use crate::{BlockMap, Device, Error, RaycastImage, Recorder, SurfelView};
 pub enum Shading {
     /// Grey, lit from the camera (Lambert).
     Grey,
+    /// The same with a highlight where light is mirrored to the camera, so that bends of the surface stand out (Phong 1975,
+    /// *Illumination for Computer Generated Pictures*).
+    Phong,
     /// Normals as colours: red, green, blue for the world's x, y, z.
     Normals,
     /// The map's own colours; nothing where it has none.
@@ -50,6 +53,7 @@ impl Shading {
             Self::Normals => (1, [0.0, 1.0]),
             Self::Depth => (2, scale.depth_m),
             Self::Confidence => (3, [0.0, scale.confidence]),
+            Self::Phong => (4, [0.0, 1.0]),
         }
     }
 }

@@ -30,7 +30,7 @@ fn pictures_are_the_references_and_show_the_true_depth() {
         let normals = image.read_normals(&gpu.device).unwrap();
         let render = Render::new(&gpu.device);
         let scale = Scale { depth_m: [0.5, 2.9], confidence: 3.5 };
-        for shading in [Shading::Grey, Shading::Normals, Shading::Depth, Shading::Confidence] {
+        for shading in [Shading::Grey, Shading::Phong, Shading::Normals, Shading::Depth, Shading::Confidence] {
             let painted = render.run(&fusion.map, &image, &pose, shading, &scale).unwrap();
             let expected = reference::render::shade(&points, &normals, &pose, shading, &scale);
             for (a, b) in painted.data().iter().zip(expected.data()) {

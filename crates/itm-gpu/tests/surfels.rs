@@ -14,6 +14,8 @@ use itm_core::voxel::ColourVoxel;
 use itm_core::{Calibration, ColourImage, DepthConversion, Image, Intrinsics, Se3, SurfelSettings};
 use itm_gpu::absorb::Absorb;
 use itm_gpu::associate::Associate;
+use itm_gpu::evaluate::Evaluator;
+use itm_gpu::photometric::PointList;
 use itm_gpu::reference::absorb as to_absorb;
 use itm_gpu::reference::associate::{Association, Measured, Role};
 use itm_gpu::reference::segment::Known;
@@ -627,6 +629,36 @@ proptest! {
         }
         prop_assert!(others <= 1 + camera.pixels() / 100, "{others} pixels show something else");
     }
+}
+
+#[test]
+fn lists_for_tracking_have_the_colours_of_the_surfels_that_are_seen() {
+    let Some(stages) = gpu() else { return };
+    let camera = common::camera(41, 30);
+    let pose = Se3::exp([0.05, -0.02, 0.1, 0.02, 0.1, -0.03]);
+    let mut fusion = Fusion::new(stages, common::one_camera(camera), 32);
+    fusion.map.write_words(&random_slots(&mut Noise(4), &camera, &pose, 2000, 40)).unwrap();
+    let device = &fusion.gpu.device;
+    let (image, pixels) = (RaycastImage::new(device, camera).unwrap(), SurfelView::new(device, camera));
+    let evaluator = Evaluator::new(device);
+    let list = PointList::new(device, &image, 1, 2);
+    let mut recorder = Recorder::new(device);
+    fusion.stages.splat.record(&mut recorder, &fusion.map, &pixels, &image, &fusion.options(&pose), ALL);
+    evaluator.photometric.list_surfels(&mut recorder, &list, &image, &pixels, &pose);
+    let _untimed = recorder.submit();
+    let (points, colours) = (image.read_points(device).unwrap(), pixels.read_colours(device).unwrap());
+    let listed = list.read(device, 1).unwrap();
+    let width = camera.width.div_ceil(2);
+    assert_eq!(listed.len(), (width * camera.height.div_ceil(2)) as usize);
+    let mut known = 0;
+    for (i, listed) in listed.iter().enumerate() {
+        let (x, y) = (2 * (i as u32 % width) + 1, 2 * (i as u32 / width) + 1);
+        let at = (x.min(camera.width - 1), y.min(camera.height - 1));
+        let ([px, py, pz, _], colour) = (points[at], colours[at]);
+        assert_eq!(*listed, (colour[3] > 0).then_some(([px, py, pz], colour)), "{at:?}");
+        known += usize::from(listed.is_some());
+    }
+    assert!(known > 100, "{known} points");
 }
 
 /// A map of the scene as a camera that moves a little sees it, with slots that became free found now and then.

@@ -543,8 +543,11 @@ impl Slam {
 
     fn record_map_list(&self, recorder: &mut Recorder, world_from_camera: &Se3) {
         if let Some(list) = self.primary.list(Against::Map) {
-            let stage = &self.evaluator.photometric;
-            stage.list_map(recorder, list, &self.primary.model.image, &self.mapper.map, world_from_camera, 0.0);
+            let (stage, image) = (&self.evaluator.photometric, &self.primary.model.image);
+            match &self.mapper.surfels {
+                Some(surfels) => stage.list_surfels(recorder, list, image, surfels.drawn(), world_from_camera),
+                None => stage.list_map(recorder, list, image, &self.mapper.map, world_from_camera, 0.0),
+            }
         }
     }
 

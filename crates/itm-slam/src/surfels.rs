@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeSet, VecDeque};
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use itm_core::surfel::{SURFEL_WORDS, Surfel};
 use itm_core::{
-    Calibration, DepthConversion, DepthImage, Frame, Image, Intrinsics, Mesh, Mode, RelocaliserKind, Se3, Settings,
-    Timestamp,
+    Calibration, DepthConversion, DepthImage, Frame, Image, Intrinsics, Mesh, Mode, PointCloud, RelocaliserKind, Se3,
+    Settings, Timestamp,
 };
 use itm_gpu::absorb::Absorb;
 use itm_gpu::associate::Associate;
@@ -23,6 +23,7 @@ use crate::Error;
 use crate::caster::NEAR_M;
 use crate::mapper::{Place, grow_pools};
 use crate::slam::{Poses, Slam};
+use crate::views::depth_millimetres;
 
 /// A frame's record is consumed at this many frames later, whenever it arrived, so that growth happens at the same frame in
 /// every run.
@@ -314,6 +315,11 @@ impl Surfels {
         Ok(true)
     }
 
+    /// The colours of what was drawn last for tracking; see [`SurfelView::read_colours`].
+    pub(crate) fn drawn(&self) -> &SurfelView {
+        &self.pixels
+    }
+
     /// Draws what the camera sees of a submap from a pose, for tracking.
     pub(crate) fn look(&self, submap: u16, image: &RaycastImage, submap_from_camera: &Se3) {
         let mut recorder = Recorder::new(&self.device);
@@ -367,6 +373,21 @@ impl Surfels {
     }
 }
 
+/// What a camera sees of a map of surfels.
+#[derive(Clone, Debug)]
+pub struct SeenSurfels {
+    /// A point for each pixel that sees one, row by row, in the world's frame. Colours where any has one; others are black then.
+    pub points: PointCloud,
+    /// Depth along the optical axis; 0 where there is none, or more than 65.534 m.
+    pub depth_millimetres: Image<u16>,
+}
+
+impl Default for SeenSurfels {
+    fn default() -> Self {
+        Self { points: PointCloud::default(), depth_millimetres: Image::filled(0, 0, 0) }
+    }
+}
+
 /// Views of the map for a mesh: another one each so many metres, or radians, along the trajectory.
 const VIEW_EVERY_M: f64 = 0.15;
 const VIEW_EVERY_RAD: f64 = 0.2;
@@ -404,6 +425,35 @@ impl Slam {
             None => surfel,
         };
         surfels.into_iter().map(in_world).collect()
+    }
+
+    /// What a camera sees of the stable surfels from a pose, up to a depth in metres. Waits. Nothing where the map is one of voxels, which
+    /// [`MapViews`](crate::MapViews) shows.
+    ///
+    /// # Errors
+    /// Where the device fails.
+    pub fn seen_surfels(
+        &self,
+        camera: &Intrinsics,
+        world_from_camera: &Se3,
+        max_depth_m: f32,
+    ) -> Result<SeenSurfels, Error> {
+        let Some(surfels) = &self.mapper.surfels else { return Ok(SeenSurfels::default()) };
+        let poses = self.poses_of_submaps();
+        let (image, pixels) = surfels.cast(&poses, camera, world_from_camera, max_depth_m)?;
+        let (points, normals) = (image.read_points(&self.device)?, image.read_normals(&self.device)?);
+        let colours = pixels.read_colours(&self.device)?;
+        let coloured = colours.data().iter().any(|colour| colour[3] > 0);
+        let mut cloud = PointCloud::default();
+        for ((&[x, y, z, known], &[nx, ny, nz, _]), &[r, g, b, _]) in
+            points.data().iter().zip(normals.data()).zip(colours.data()).filter(|((point, _), _)| point[3] > 0.0)
+        {
+            cloud.positions.push(Vec3::new(x, y, z));
+            cloud.normals.push(Vec3::new(nx, ny, nz));
+            cloud.colours.extend(coloured.then_some([r, g, b]));
+            cloud.confidences.push(known - 1.0);
+        }
+        Ok(SeenSurfels { points: cloud, depth_millimetres: depth_millimetres(&points, world_from_camera) })
     }
 
     /// A mesh of the surfels: what the camera would see of them along its way, fused into voxels of `map.voxel_size_m`.

@@ -96,16 +96,7 @@ impl MapViews {
     /// Where the device fails.
     pub fn depth_millimetres(&self) -> Result<Image<u16>, Error> {
         let Some((image, pose)) = &self.current else { return Ok(Image::filled(0, 0, 0)) };
-        let points = image.read_points(&self.device)?;
-        let camera_from_world = pose.inverse();
-        Ok(Image::from_fn(points.width(), points.height(), |x, y| {
-            let [px, py, pz, observed] = points[(x, y)];
-            let z = camera_from_world.transform_point(Vec3::new(px, py, pz).as_dvec3()).z;
-            let millimetres = (z * 1e3).round();
-            // The largest value means 'no measurement', as 0 does.
-            let there = observed > 0.0 && millimetres > 0.0 && millimetres < f64::from(u16::MAX);
-            if there { millimetres as u16 } else { 0 }
-        }))
+        Ok(depth_millimetres(&image.read_points(&self.device)?, pose))
     }
 
     /// The visible surface: a point for each pixel that sees one and has a normal, row by row. Colours and confidences where
@@ -166,6 +157,19 @@ impl MapViews {
         }
         added
     }
+}
+
+/// Depth in millimetres of points as a camera saw them from a pose; 0 where there is none.
+pub(crate) fn depth_millimetres(points: &Image<[f32; 4]>, world_from_camera: &Se3) -> Image<u16> {
+    let camera_from_world = world_from_camera.inverse();
+    Image::from_fn(points.width(), points.height(), |x, y| {
+        let [px, py, pz, observed] = points[(x, y)];
+        let z = camera_from_world.transform_point(Vec3::new(px, py, pz).as_dvec3()).z;
+        let millimetres = (z * 1e3).round();
+        // The largest value means 'no measurement', as 0 does.
+        let there = observed > 0.0 && millimetres > 0.0 && millimetres < f64::from(u16::MAX);
+        if there { millimetres as u16 } else { 0 }
+    })
 }
 
 /// What a camera sees up to a depth.

@@ -456,12 +456,6 @@ impl Settings {
         submaps.validate()?;
         surfels.validate()?;
         check(
-            !self.mode.has_surfels() || !tracker.extended.use_map_colour,
-            "tracker.extended.use_map_colour",
-            "false where maps are made of surfels: colours are compared with those of voxels",
-            tracker.extended.use_map_colour,
-        )?;
-        check(
             !self.mode.has_surfels() || !tracker.forward_projection.enabled,
             "tracker.forward_projection.enabled",
             "false where maps are made of surfels: there are no rays to save",

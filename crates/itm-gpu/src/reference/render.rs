@@ -34,6 +34,11 @@ pub fn shade(
                 let light = (world_from_camera.translation - point).normalize();
                 Some(DVec3::splat(0.15 + 0.8 * normal.dot(light).abs()))
             }
+            Shading::Phong if known > 0.0 => {
+                let facing = normal.dot((world_from_camera.translation - point).normalize()).abs().min(1.0);
+                let mirrored = (2.0 * facing * facing - 1.0).max(0.0);
+                Some(DVec3::splat(0.1 + 0.6 * facing + 0.3 * mirrored.powi(20)))
+            }
             Shading::Normals if known > 0.0 => Some(0.5 + 0.5 * normal),
             Shading::Depth if observed > 0.0 => {
                 Some(on_scale(world_from_camera.inverse().transform_point(point).z, scale.depth_m))

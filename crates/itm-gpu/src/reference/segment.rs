@@ -262,7 +262,15 @@ mod tests {
                 .map(|i| {
                     let position = points[(i % 40, i / 40)].unwrap().0.as_vec3();
                     let normal = Vec3::NEG_Z;
-                    Some(Surfel { position, normal, radius_m: 0.02, confidence: 20.0, seen: 8, colour: None })
+                    Some(Surfel {
+                        position,
+                        normal,
+                        radius_m: 0.02,
+                        submap: 0,
+                        confidence: 20.0,
+                        seen: 8,
+                        colour: None,
+                    })
                 })
                 .collect();
             let cells = segment(&measured, &known, &vacant(&slots, &measured), 0.0);
