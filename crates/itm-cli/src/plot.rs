@@ -114,6 +114,23 @@ pub(crate) fn plane(curves: &[Curve], names: [&str; 2], width: f64, height: f64)
     svg + "</svg>"
 }
 
+/// Curves over a quantity, both axes from 0.
+pub(crate) fn over(curves: &[Curve], names: [&str; 2], height: f64) -> String {
+    let most = curves.iter().flat_map(|curve| &curve.points).fold(DVec2::ZERO, |most, p| most.max(*p));
+    if most.min_element() <= 0.0 {
+        return String::new();
+    }
+    let most = 1.05 * most;
+    let x = Axis { lo: 0.0, hi: most.x, from: LEFT, to: WIDTH - RIGHT };
+    let y = Axis { lo: 0.0, hi: most.y, from: height - BOTTOM, to: TOP };
+    let mut svg = open(WIDTH, height, &format!("{} over {}", names[1], names[0]));
+    axes(&mut svg, &x, &y, names);
+    for curve in curves {
+        svg += &format!("<path class='line {}' d='{}'/>", curve.class, path(&curve.points, &x, &y));
+    }
+    svg + "</svg>"
+}
+
 fn path(points: &[DVec2], x: &Axis, y: &Axis) -> String {
     let mut path = String::new();
     for (i, p) in points.iter().enumerate() {

@@ -8,7 +8,7 @@ use base64::engine::general_purpose::STANDARD as BASE64;
 use glam::{DVec2, DVec3};
 use itm_core::{Se3, Trajectory, evaluation};
 use itm_io::recording::RecordingInfo;
-use itm_slam::{Submap, SubmapLink};
+use itm_slam::{Submap, SubmapLink, bytes_per_surfel};
 
 use crate::pictures::Picture;
 use crate::plot::{self, Curve, Layer, OverFrames};
@@ -48,6 +48,9 @@ pub(crate) fn write(path: &Path, report: &Report<'_>) -> Result<()> {
 fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('\'', "&#39;").replace('"', "&quot;")
 }
+
+/// The stages whose time follows the number of surfels.
+const OVER_SURFELS: [&str; 3] = ["associate", "absorb", "splat"];
 
 fn section(title: &str, body: &str) -> String {
     if body.is_empty() { String::new() } else { format!("<section><h2>{title}</h2>{body}</section>\n") }
@@ -102,6 +105,7 @@ impl Report<'_> {
         page += &section("Submaps", &self.submaps());
         page += &section("Tracking", &self.tracking());
         page += &section("Time for each frame", &self.timings());
+        page += &section("Surfels", &self.surfels());
         page += &section("Run", &self.table());
         page += &section("Messages", &self.messages());
         let settings = escape(self.settings);
@@ -468,6 +472,40 @@ impl Report<'_> {
             note += &format!("{beyond}.");
         }
         format!("{}{svg}<p class='note'>{note}</p>{}", legend(names), self.stage_table())
+    }
+
+    /// What the surfels take, by their number: the time of the stages over them, and their memory.
+    fn surfels(&self) -> String {
+        const BINS: usize = 24;
+        let of_surfels = |row: &Row| {
+            let stages = STAGES.iter().zip(&row.stage_ms);
+            let known: Vec<f64> =
+                stages.filter(|(name, _)| OVER_SURFELS.contains(name)).filter_map(|(_, ms)| *ms).collect();
+            let surfels = row.surfels.filter(|_| known.len() >= 3)?;
+            Some(DVec2::new(f64::from(surfels) * 1e-6, known.iter().sum()))
+        };
+        let frames: Vec<DVec2> = self.rows.iter().filter_map(of_surfels).collect();
+        let most = frames.iter().map(|frame| frame.x).fold(0.0, f64::max);
+        if most <= 0.0 {
+            return String::new();
+        }
+        let bin = |i: usize| {
+            let within = |x: f64| ((x / most * BINS as f64) as usize).min(BINS - 1) == i;
+            let here: Vec<f64> = frames.iter().filter(|frame| within(frame.x)).map(|frame| frame.y).collect();
+            median(here).map(|ms| DVec2::new((i as f64 + 0.5) / BINS as f64 * most, ms))
+        };
+        let mib = bytes_per_surfel() as f64 / f64::from(1 << 20) * 1e6;
+        let curve = |name, class, points| Curve { name, class, points, ends: false };
+        let time = curve("time", "error", (0..BINS).filter_map(bin).collect());
+        let memory = curve("memory", "keyframe", vec![DVec2::ZERO, DVec2::new(most, most * mib)]);
+        format!(
+            "{}{}<p class='note'>Median time of the stages over surfels ({}) by the number of surfels in the map, in view or not; and what \
+             the surfels take of the device's memory, {} bytes each. Pools grow by a quarter at a time.</p>",
+            plot::over(&[time], ["surfels in the map (millions)", "time (ms)"], 240.0),
+            plot::over(&[memory], ["surfels in the map (millions)", "memory (MiB)"], 180.0),
+            OVER_SURFELS.join(", "),
+            bytes_per_surfel(),
+        )
     }
 
     fn stage_table(&self) -> String {

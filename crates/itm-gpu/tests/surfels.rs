@@ -541,9 +541,10 @@ proptest! {
         }
         prop_assert_eq!(record.demoted, fallen);
         // The cases are worth their name.
-        if camera.pixels() > 1000 && erosion < 2 && cell_px < 4 {
+        if camera.pixels() > 1000 && erosion == 0 && cell_px < 4 {
             let count = |is: fn(&itm_gpu::segment::CellMarks) -> bool| marks.data().iter().filter(|m| is(m)).count();
-            prop_assert!(count(|m| m.dynamic) > 5 && count(|m| m.vacant) > 5 && fallen > 5, "{record:?}");
+            let (dynamic, vacant) = (count(|m| m.dynamic), count(|m| m.vacant));
+            prop_assert!(dynamic > 5 && vacant > 5 && fallen > 5, "{dynamic} cells move, {vacant} are left: {record:?}");
         }
     }
 

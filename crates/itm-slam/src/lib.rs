@@ -61,7 +61,7 @@ pub use saving::{SavedSession, count_surfels, settings_of};
 pub use session::{Event, Session, SessionOptions, Start, Summary};
 pub use slam::{Poses, Sighting, Slam};
 pub use source::BlockSource;
-pub use surfels::SeenSurfels;
+pub use surfels::{SeenSurfels, bytes_per_surfel};
 pub use views::{MapViews, full_confidence};
 pub use warning::Warning;
 

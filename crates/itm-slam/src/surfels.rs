@@ -373,6 +373,11 @@ impl Surfels {
     }
 }
 
+/// Bytes of device memory that a surfel takes, with what stages leave for each other.
+pub const fn bytes_per_surfel() -> u64 {
+    SurfelMap::bytes_per_surfel()
+}
+
 /// What a camera sees of a map of surfels.
 #[derive(Clone, Debug)]
 pub struct SeenSurfels {
