@@ -3,7 +3,8 @@
 //! [`SavedMap`] opens the map file of an earlier run, meshes it and renders it, in bounded memory.
 //!
 //! [`Slam`] is the core: push frames in, get poses out, ask for a mesh or a picture at any time. It is synchronous and
-//! starts no thread. [`Session`] runs it over a recording, with decoding ahead on another thread, as a stream of events.
+//! starts no thread. [`Session`] runs it over a recording, with decoding ahead on another thread, as a stream of events;
+//! [`CameraLoop`] runs it beside a camera's own loop.
 //!
 //! ```no_run
 //! use itm_slam::{Calibration, DepthConversion, Device, Frame, Intrinsics, Poses, Settings, Slam};
@@ -22,6 +23,7 @@
 //! ```
 
 mod atlas;
+mod camera_loop;
 mod caster;
 mod chunked_mesh;
 mod chunks;
@@ -49,6 +51,7 @@ mod views;
 mod warning;
 
 pub use atlas::{Submap, SubmapLink};
+pub use camera_loop::{CameraLoop, Stopper, WhenLate};
 pub use chunked_mesh::{MeshOptions, mesh_blocks, mesh_in_chunks, with_neighbours};
 pub use combined::Combined;
 pub use decimate::{DecimateError, decimate};
