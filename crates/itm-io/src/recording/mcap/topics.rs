@@ -174,10 +174,15 @@ impl<'a> Choice<'a> {
                 "convert it to ROS 2 first, where messages are in CDR, as the program rosbags-convert does",
             )),
             [] => {
-                let others = self.topics.iter().map(describe).collect();
+                let others: Vec<String> = self.topics.iter().map(describe).collect();
                 let advice = "depth has the encoding 16UC1, mono16 or 32FC1 in sensor_msgs/msg/Image or CompressedImage \
                      (CDR), foxglove.RawImage or CompressedImage (protobuf)";
-                Err(self.error("it has no depth images; its topics are", others, advice))
+                let problem = if self.topics.is_empty() {
+                    "it has no topics at all"
+                } else {
+                    "it has no depth images; its topics are"
+                };
+                Err(self.error(problem, others, advice))
             }
             [one] => Ok(*one),
             several => {
