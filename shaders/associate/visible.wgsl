@@ -21,8 +21,9 @@ struct Params {
     // Frames after which an unstable surfel that was not observed again is removed.
     patience: u32,
     submap: u32,
-    unused_a: u32,
-    unused_b: vec2<u32>,
+    // Of other submaps, surfels of less confidence are removed: no frame will tell more of them soon.
+    kept_elsewhere: f32,
+    unused: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -57,8 +58,12 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
             }
             @if(removing) {
                 stable += u32(place.w >= params.stable);
-                let is_unstable = is_meant && place.w < params.stable;
-                if is_unstable && params.frame - min(params.frame, attributes[i].z) > params.patience {
+                var is_forgotten = is_meant && place.w < params.stable;
+                is_forgotten = is_forgotten && params.frame - min(params.frame, attributes[i].z) > params.patience;
+                @if(of_submap) {
+                    is_forgotten = is_forgotten || (!is_meant && place.w > 0.0 && place.w < params.kept_elsewhere);
+                }
+                if is_forgotten {
                     places[i] = vec4(0.0);
                     removed += 1u;
                     is_meant = false;

@@ -294,7 +294,12 @@ fn count(counts: &mut Counts, metres: f64, radians: f64, verdict: &str) {
     }
 }
 
-fn evaluate(device: &Device) {
+/// Measures with some settings that are not the default, as `mode=surfels`.
+fn evaluate(device: &Device, overrides: &[String]) {
+    let with_overrides = |settings: &Settings| {
+        let text = toml::to_string(settings).unwrap();
+        Settings::resolve(Some(("the settings of the measurement", &text)), overrides).unwrap()
+    };
     println!(
         "| recording | frames | off | of these poor or lost, % | of poor or lost these, % | right but poor, % | right but lost, % |"
     );
@@ -306,7 +311,7 @@ fn evaluate(device: &Device) {
         let counts = measure(
             device,
             &mut recording,
-            &Settings { view: Settings::default().view, ..settings(0.01) },
+            &with_overrides(&Settings { view: Settings::default().view, ..settings(0.01) }),
             wrong_start,
         );
         counts.print(name);
@@ -338,7 +343,7 @@ fn evaluate(device: &Device) {
     for folder in folders {
         let Ok(mut recording) = open(&folder, &OpenOptions::default()) else { continue };
         let name = recording.info().name.clone();
-        measure(device, recording.as_mut(), &Settings::default(), None).print(&name);
+        measure(device, recording.as_mut(), &with_overrides(&Settings::default()), None).print(&name);
     }
 }
 
@@ -347,7 +352,7 @@ fn main() {
     let mut arguments = std::env::args().skip(1);
     match (arguments.next().as_deref(), arguments.next()) {
         (Some("train"), Some(to)) => train(&device, to.as_ref()),
-        (Some("measure"), None) => evaluate(&device),
-        _ => println!("usage: train_verdict train FILE | measure"),
+        (Some("measure"), first) => evaluate(&device, &first.into_iter().chain(arguments).collect::<Vec<_>>()),
+        _ => println!("usage: train_verdict train FILE | measure [KEY=VALUE …]"),
     }
 }

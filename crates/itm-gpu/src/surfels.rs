@@ -473,7 +473,7 @@ impl List {
     }
 
     /// Records the list of the surfels of at least some confidence that the camera of `pixels` sees; without one, of all of them, and
-    /// those that stayed unstable for too long are removed. `camera_from_submaps` is what
+    /// those that stayed unstable for too long are removed, and of other submaps those that are hardly known. `camera_from_submaps` is what
     /// [`SurfelMap::camera_from_submaps`] gives.
     pub(crate) fn record(
         &self,
@@ -507,8 +507,8 @@ impl List {
                     frame: options.frame,
                     patience: options.settings.patience,
                     submap: options.part.submap().into(),
-                    unused_a: 0,
-                    unused_b: [0; 2],
+                    kept_elsewhere: options.settings.track_from,
+                    unused: [0; 2],
                 },
                 counters: &map.counters,
                 places,

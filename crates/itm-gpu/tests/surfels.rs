@@ -848,7 +848,7 @@ fn submaps_are_seen_one_by_one_and_together_as_they_lie() {
         assert!(alone.0.data().iter().filter(|point| point[3] > 0.0).count() > camera.pixels() / 2);
     }
 
-    // What is fused into one leaves the other alone, and new surfels belong to it.
+    // What is fused into one leaves the other alone, but for what is hardly known of it, and new surfels belong to it.
     fusion.frame = 100;
     fusion.see(scene().depth(&camera, &pose), None);
     let mut recorder = Recorder::new(&fusion.gpu.device);
@@ -862,10 +862,15 @@ fn submaps_are_seen_one_by_one_and_together_as_they_lie() {
     let after = fusion.words();
     for (i, (before, after)) in in_submaps.iter().zip(&after).enumerate() {
         match Surfel::from_words(*before) {
+            Some(surfel) if surfel.submap == 0 && surfel.confidence < fusion.settings.track_from => {
+                assert_eq!(Surfel::from_words(*after), None, "slot {i}");
+            }
             Some(surfel) if surfel.submap == 0 => assert_eq!(before, after, "slot {i}"),
             Some(_) | None => {}
         }
     }
+    let weak = |surfel: &Surfel| surfel.submap == 0 && surfel.confidence < fusion.settings.track_from;
+    assert!(parsed(&in_submaps).iter().flatten().any(weak));
     let new: Vec<Surfel> = after[in_submaps.len()..].iter().filter_map(|words| Surfel::from_words(*words)).collect();
     assert!(new.len() > 20 && new.iter().all(|surfel| surfel.submap == 1 && surfel.seen == fusion.frame));
 }
