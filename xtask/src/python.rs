@@ -65,8 +65,8 @@ fn environment(installing: Installing) -> Result<Environment> {
     let python = interpreter(installing)?;
     let version = Command::new(&python).arg("-VV").output().context("can't ask for Python's version")?;
     let requirements = workspace_root().join(PACKAGE).join(REQUIREMENTS);
-    let wanted = std::fs::read_to_string(&requirements)
-        .with_context(|| format!("can't read '{}'", requirements.display()))?;
+    let wanted =
+        std::fs::read_to_string(&requirements).with_context(|| format!("can't read '{}'", requirements.display()))?;
     let wanted = format!("{}\n{wanted}", String::from_utf8_lossy(&version.stdout));
     let environment = Environment { folder: target_folder().join("python") };
     let marker = environment.folder.join("installed.txt");

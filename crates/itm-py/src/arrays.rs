@@ -134,6 +134,15 @@ pub(crate) fn poses(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<Se3>> 
     numbers.chunks_exact(16).enumerate().map(of).collect()
 }
 
+/// Three numbers.
+pub(crate) fn vector(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec3> {
+    let (shape, numbers) = numbers(value, name, "three numbers")?;
+    let [x, y, z] = numbers[..] else {
+        return Err(PyValueError::new_err(format!("{name} must be three numbers, not of shape {shape:?}")));
+    };
+    Ok(glam::DVec3::new(x, y, z).as_vec3())
+}
+
 /// Points from an array Nx3.
 pub(crate) fn points(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<Vec3>> {
     let (shape, numbers) = numbers(value, name, "an array of shape (N, 3)")?;
@@ -145,7 +154,12 @@ pub(crate) fn points(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<Vec3>
 
 /// A moment: an int is nanoseconds, a float seconds.
 pub(crate) fn timestamp(value: &Bound<'_, PyAny>) -> PyResult<Timestamp> {
-    let wrong = || PyTypeError::new_err(format!("a timestamp must be nanoseconds (int) or seconds (float), not {}", describe(value)));
+    let wrong = || {
+        PyTypeError::new_err(format!(
+            "a timestamp must be nanoseconds (int) or seconds (float), not {}",
+            describe(value)
+        ))
+    };
     if value.is_instance_of::<PyBool>() {
         return Err(wrong());
     }
@@ -179,10 +193,7 @@ pub(crate) fn matrix<'py>(py: Python<'py>, pose: &Se3) -> PyResult<Bound<'py, Py
 }
 
 /// Rigid motions as an array Nx4x4.
-pub(crate) fn matrices<'py>(
-    py: Python<'py>,
-    poses: impl Iterator<Item = Se3>,
-) -> PyResult<Bound<'py, PyArray3<f64>>> {
+pub(crate) fn matrices<'py>(py: Python<'py>, poses: impl Iterator<Item = Se3>) -> PyResult<Bound<'py, PyArray3<f64>>> {
     let values: Vec<f64> = poses.flat_map(|pose| pose.to_matrix().transpose().to_cols_array()).collect();
     let count = values.len() / 16;
     values.into_pyarray(py).reshape([count, 4, 4])

@@ -103,13 +103,14 @@ impl Calibration {
     ) -> PyResult<Self> {
         let depth_conversion = match (disparity, depth_scale) {
             (Some(_), Some(_)) => {
-                return Err(PyValueError::new_err("give depth_scale or disparity, not both: each says what raw depth means"));
+                return Err(PyValueError::new_err(
+                    "give depth_scale or disparity, not both: each says what raw depth means",
+                ));
             }
             (Some((a, b)), None) => DepthConversion::Disparity { a, b },
             (None, scale) => DepthConversion::Affine { scale: scale.unwrap_or(0.001), offset: depth_offset },
         };
-        let colour_from_depth =
-            colour_from_depth.map(|value| arrays::pose(value, "colour_from_depth")).transpose()?;
+        let colour_from_depth = colour_from_depth.map(|value| arrays::pose(value, "colour_from_depth")).transpose()?;
         let calibration = itm_core::Calibration {
             depth: depth.0,
             colour: colour.unwrap_or(depth).0,

@@ -67,8 +67,7 @@ impl Frame {
     #[getter]
     fn raw_depth<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<u16>>>> {
         let DepthImage::Raw(raw) = &self.frame.depth else { return Ok(None) };
-        let make =
-            || arrays::read_only(arrays::plane(py, raw.size(), raw.data().to_vec())?).map(Bound::unbind);
+        let make = || arrays::read_only(arrays::plane(py, raw.size(), raw.data().to_vec())?).map(Bound::unbind);
         Ok(Some(self.raw_depth.get_or_try_init(py, make)?.bind(py).clone()))
     }
 

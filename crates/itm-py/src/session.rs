@@ -1,7 +1,8 @@
 //! Reconstruction from a stream of frames.
 
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread::{self, ThreadId};
 use std::time::Instant;
 
 use itm_core::surfel::cloud_of_surfels;
@@ -10,7 +11,7 @@ use itm_io::map_file::MapReader;
 use itm_io::recording::nominal_timestamp;
 use itm_slam::{Device, Poses, SavedSession, SessionOptions, Shading, Slam, Start};
 use numpy::{PyArray1, PyArray2, PyArray3};
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::exceptions::{PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -34,6 +35,8 @@ use crate::{arrays, errors};
 #[pyclass(module = "itm_slam", frozen)]
 pub(crate) struct Session {
     slam: Mutex<Slam>,
+    /// The thread that is meshing, which calls Python back.
+    meshing: Mutex<Option<ThreadId>>,
     calibration: itm_core::Calibration,
     settings: Settings,
     device: String,
@@ -90,12 +93,49 @@ fn open_device(adapter: &str) -> Result<Device, PyErr> {
 impl Session {
     fn of(slam: Slam, device: &Device) -> Self {
         let (calibration, settings) = (*slam.calibration(), slam.settings().clone());
-        Self { slam: Mutex::new(slam), calibration, settings, device: device.name().to_owned() }
+        Self {
+            slam: Mutex::new(slam),
+            meshing: Mutex::default(),
+            calibration,
+            settings,
+            device: device.name().to_owned(),
+        }
     }
 
     /// Does something with the session while other threads of Python go on; one thread has access at a time.
-    fn with<T: Send>(&self, py: Python<'_>, what: impl FnOnce(&mut Slam) -> T + Send) -> T {
-        py.detach(|| what(&mut self.slam.lock().unwrap_or_else(PoisonError::into_inner)))
+    fn with<T: Send>(&self, py: Python<'_>, what: impl FnOnce(&mut Slam) -> T + Send) -> PyResult<T> {
+        self.check_not_within()?;
+        Ok(py.detach(|| what(&mut self.lock())))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Slam> {
+        self.slam.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn meshing(&self) -> MutexGuard<'_, Option<ThreadId>> {
+        self.meshing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Refuses what would wait for itself: a call from within a progress callback, or a signal's handler, of this session.
+    fn check_not_within(&self) -> PyResult<()> {
+        if *self.meshing() == Some(thread::current().id()) {
+            return Err(PyRuntimeError::new_err("a session cannot be used within its own progress callback"));
+        }
+        Ok(())
+    }
+
+    /// The surface of the whole map.
+    fn extract(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<itm_core::Mesh> {
+        self.check_not_within()?;
+        let own = Some(thread::current().id());
+        let mesh = with_progress(py, progress, |told| {
+            let mut slam = self.lock();
+            *self.meshing() = own;
+            slam.mesh(told)
+        });
+        // Another thread may have begun already.
+        self.meshing().take_if(|thread| Some(*thread) == own);
+        mesh?.map_err(|error| errors::of_slam(error, errors::map))
     }
 
     /// A frame from what `process` was given.
@@ -116,7 +156,7 @@ impl Session {
         let depth_image = arrays::depth(depth, &self.calibration)?;
         let colour = colour.map(|colour| arrays::colour(colour, &self.calibration)).transpose()?;
         let timestamp = timestamp.map(arrays::timestamp).transpose()?;
-        let index = self.with(depth.py(), |slam| slam.frames());
+        let index = self.with(depth.py(), |slam| slam.frames())?;
         let nominal = || nominal_timestamp(u32::try_from(index).unwrap_or(u32::MAX));
         Ok(itm_core::Frame::new(index, timestamp.unwrap_or_else(nominal), depth_image, colour))
     }
@@ -208,7 +248,7 @@ impl Session {
                 None => slam.process(&frame),
             };
             (result, started.elapsed().as_secs_f64() * 1e3)
-        });
+        })?;
         let result = result.map_err(|error| errors::of_slam(error, errors::recording))?;
         Ok(FrameResult::new(result, total_ms))
     }
@@ -238,7 +278,9 @@ impl Session {
         };
         let max_depth_m = max_depth_m.unwrap_or(self.settings.view.max_depth_m);
         if !(max_depth_m > 0.0 && max_depth_m <= 1000.0) {
-            return Err(PyValueError::new_err(format!("max_depth_m must be above 0 and at most 1000, not {max_depth_m}")));
+            return Err(PyValueError::new_err(format!(
+                "max_depth_m must be above 0 and at most 1000, not {max_depth_m}"
+            )));
         }
         let camera = camera.map_or(self.calibration.depth, |camera| camera.0);
         itm_core::Calibration::registered(camera, DepthConversion::MILLIMETRES)
@@ -249,7 +291,7 @@ impl Session {
             let last = || slam.corrected_trajectory().poses().last().map(|pose| pose.world_from_camera);
             let pose = pose.or_else(last)?;
             Some(slam.render(&camera, &pose, max_depth_m, shading))
-        });
+        })?;
         let picture =
             picture.ok_or_else(|| PyValueError::new_err("no frame has a pose yet: say from which one to render"))?;
         let picture = picture.map_err(|error| errors::of_slam(error, errors::map))?;
@@ -260,28 +302,25 @@ impl Session {
     /// it, ends the call, and the session can go on.
     #[pyo3(signature = (progress=None))]
     fn mesh(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Mesh> {
-        let mesh = with_progress(py, progress, |told| {
-            self.slam.lock().unwrap_or_else(PoisonError::into_inner).mesh(told)
-        })?;
-        mesh.map(Mesh).map_err(|error| errors::of_slam(error, errors::map))
+        self.extract(py, progress).map(Mesh)
     }
 
     /// The map as points: the surfels of a map of surfels, the mesh's vertices of one of voxels.
     #[pyo3(signature = (progress=None))]
     fn point_cloud(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<PointCloud> {
         if self.settings.mode.has_surfels() {
-            let surfels = self.with(py, |slam| slam.surfels());
+            let surfels = self.with(py, |slam| slam.surfels())?;
             let surfels = surfels.map_err(|error| errors::of_slam(error, errors::map))?;
             return Ok(PointCloud(cloud_of_surfels(&surfels)));
         }
-        Ok(PointCloud(self.mesh(py, progress)?.0.into()))
+        Ok(PointCloud(self.extract(py, progress)?.into()))
     }
 
     /// Distances in metres from points (Nx3, world) to the nearest surface, as the map has them: N float32, positive in free
     /// space, at most the truncation band, nan where nothing was observed.
     fn distances<'py>(&self, py: Python<'py>, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f32>>> {
         let points = arrays::points(points, "points")?;
-        let distances = self.with(py, |slam| slam.distances(&points));
+        let distances = self.with(py, |slam| slam.distances(&points))?;
         let distances = distances.map_err(|error| errors::of_slam(error, errors::map))?;
         Ok(arrays::row(py, distances.into_iter().map(|distance| distance.unwrap_or(f32::NAN)).collect()))
     }
@@ -289,31 +328,31 @@ impl Session {
     /// Saves the map, and all that is needed to go on as if nothing had been saved. The file takes its name only once it is
     /// whole.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        self.with(py, |slam| slam.save(&path)).map_err(|error| errors::of_slam(error, errors::map))
+        self.with(py, |slam| slam.save(&path))?.map_err(|error| errors::of_slam(error, errors::map))
     }
 
     /// The poses so far, of the frames that have one. With submaps as these lie now; as they were found, if not corrected.
     #[pyo3(signature = (*, corrected=true))]
-    fn trajectory(&self, py: Python<'_>, corrected: bool) -> Trajectory {
+    fn trajectory(&self, py: Python<'_>, corrected: bool) -> PyResult<Trajectory> {
         let of = |slam: &mut Slam| {
             if corrected { slam.corrected_trajectory() } else { slam.trajectory().clone() }
         };
-        Trajectory(self.with(py, of))
+        self.with(py, of).map(Trajectory)
     }
 
     /// The reports that are still due, when no more frames come.
     fn finish(&self, py: Python<'_>) -> PyResult<Vec<FrameReport>> {
-        let reports = self.with(py, Slam::finish).map_err(|error| errors::of_slam(error, errors::map))?;
+        let reports = self.with(py, Slam::finish)?.map_err(|error| errors::of_slam(error, errors::map))?;
         Ok(reports.into_iter().map(FrameReport).collect())
     }
 
     /// Optimises the submaps' poses with all that is known, at the end of a run; None where there is one submap.
-    fn settle(&self, py: Python<'_>) -> Option<Happening> {
-        self.with(py, Slam::settle).map(Happening)
+    fn settle(&self, py: Python<'_>) -> PyResult<Option<Happening>> {
+        Ok(self.with(py, Slam::settle)?.map(Happening))
     }
 
     /// What was no use and was left out, since this was last asked for.
-    fn warnings(&self, py: Python<'_>) -> Vec<String> {
+    fn warnings(&self, py: Python<'_>) -> PyResult<Vec<String>> {
         self.with(py, |slam| std::iter::from_fn(|| slam.next_warning()).map(|warning| warning.to_string()).collect())
     }
 
@@ -343,13 +382,13 @@ impl Session {
 
     /// Frames taken in so far, those before the session was saved included.
     #[getter]
-    fn frames(&self, py: Python<'_>) -> u64 {
+    fn frames(&self, py: Python<'_>) -> PyResult<u64> {
         self.with(py, |slam| slam.frames())
     }
 
     /// Bytes of device memory that the map takes.
     #[getter]
-    fn map_bytes(&self, py: Python<'_>) -> u64 {
+    fn map_bytes(&self, py: Python<'_>) -> PyResult<u64> {
         self.with(py, |slam| slam.map_bytes())
     }
 
@@ -361,27 +400,27 @@ impl Session {
             let world_from = |submap: u16| submaps.get(usize::from(submap)).map(|s| s.world_from_submap);
             let pose = |k: &itm_slam::Keyframe| world_from(k.submap).unwrap_or_default() * k.submap_from_camera;
             slam.keyframes().iter().map(pose).collect()
-        });
+        })?;
         arrays::matrices(py, poses.into_iter())
     }
 
     /// Where the submaps lie in the world, Nx4x4 float64; empty where the map is one.
     #[getter]
     fn submaps<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let poses: Vec<Se3> = self.with(py, |slam| slam.submaps().iter().map(|s| s.world_from_submap).collect());
+        let poses: Vec<Se3> = self.with(py, |slam| slam.submaps().iter().map(|s| s.world_from_submap).collect())?;
         arrays::matrices(py, poses.into_iter())
     }
 
     /// Links between submaps, each as (from, to, whether it closes a loop).
     #[getter]
-    fn submap_links(&self, py: Python<'_>) -> Vec<(u16, u16, bool)> {
+    fn submap_links(&self, py: Python<'_>) -> PyResult<Vec<(u16, u16, bool)>> {
         self.with(py, |slam| slam.submap_links().iter().map(|link| (link.from, link.to, link.closure)).collect())
     }
 
     /// The last pose, world_from_camera, 4x4 float64; None before the first.
     #[getter]
     fn pose<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
-        let last = self.with(py, |slam| slam.corrected_trajectory().poses().last().map(|p| p.world_from_camera));
+        let last = self.with(py, |slam| slam.corrected_trajectory().poses().last().map(|p| p.world_from_camera))?;
         last.map(|pose| arrays::matrix(py, &pose)).transpose()
     }
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use itm_core::Settings;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyDict, PyFloat, PyList, PyString, PyTuple};
+use pyo3::types::{PyBool, PyDict, PyFloat, PyList, PyMapping, PyString, PyTuple};
 use toml::Value;
 
 use crate::arrays::describe;
@@ -27,8 +27,8 @@ impl Given {
         match settings {
             None => {}
             Some(settings) => {
-                if let Ok(dict) = settings.cast::<PyDict>() {
-                    flatten(dict, "", &mut given.overrides)?;
+                if let Ok(mapping) = settings.cast::<PyMapping>() {
+                    flatten(mapping, "", &mut given.overrides)?;
                 } else if let Some(text) = text_of(settings) {
                     given.text = Some(("settings".into(), text));
                 } else if let Ok(path) = settings.extract::<PathBuf>() {
@@ -46,7 +46,7 @@ impl Given {
             }
         }
         if let Some(more) = more {
-            flatten(more, "", &mut given.overrides)?;
+            flatten(more.as_mapping(), "", &mut given.overrides)?;
         }
         Ok(given)
     }
@@ -65,14 +65,15 @@ fn text_of(settings: &Bound<'_, PyAny>) -> Option<String> {
 }
 
 /// Groups of settings as `group.key=value`.
-fn flatten(dict: &Bound<'_, PyDict>, before: &str, overrides: &mut Vec<String>) -> PyResult<()> {
-    for (key, value) in dict.iter() {
+fn flatten(mapping: &Bound<'_, PyMapping>, before: &str, overrides: &mut Vec<String>) -> PyResult<()> {
+    for item in mapping.items()? {
+        let (key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>) = item.extract()?;
         let Ok(name) = key.extract::<String>() else {
             let found = describe(&key);
             return Err(PyTypeError::new_err(format!("the keys of settings are strings, not {found}")));
         };
         let mut key = format!("{before}{name}");
-        if let Ok(group) = value.cast::<PyDict>() {
+        if let Ok(group) = value.cast::<PyMapping>() {
             flatten(group, &format!("{key}."), overrides)?;
             continue;
         }

@@ -75,8 +75,9 @@ impl Mesh {
     }
 
     /// The triangles that lie within a box, and their vertices.
-    fn crop(&self, py: Python<'_>, min: [f32; 3], max: [f32; 3]) -> Self {
-        py.detach(|| Self(self.0.clone().crop(min.into(), max.into())))
+    fn crop(&self, py: Python<'_>, min: &Bound<'_, PyAny>, max: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let (min, max) = (arrays::vector(min, "min")?, arrays::vector(max, "max")?);
+        Ok(py.detach(|| Self(self.0.clone().crop(min, max))))
     }
 
     /// A mesh with this share of the triangles, above 0 and at most 1.

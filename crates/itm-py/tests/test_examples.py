@@ -15,7 +15,7 @@ pytestmark = pytest.mark.gpu
 
 
 def example(name: str, *arguments: object) -> str:
-    command = [sys.executable, EXAMPLES / f"{name}.py", *map(str, arguments)]
+    command = [sys.executable, str(EXAMPLES / f"{name}.py"), *map(str, arguments)]
     ran = subprocess.run(command, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stderr
     return ran.stdout

@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -63,7 +64,8 @@ def test_what_is_no_recording(tmp_path: Path) -> None:
 def test_cameras(tmp_path: Path) -> None:
     camera = itm_slam.Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
     assert camera == itm_slam.Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
-    assert np.array_equal(camera.matrix, [[525, 0, 319.5], [0, 525, 239.5], [0, 0, 1]])
+    matrix: list[list[float]] = [[525, 0, 319.5], [0, 525, 239.5], [0, 0, 1]]
+    assert np.array_equal(camera.matrix, matrix)
     calibration = itm_slam.Calibration(camera, depth_scale=0.0002, colour_distortion=[0.1, 0.0, 0.0, 0.0, 0.0])
     calibration.save(tmp_path / "calibration.txt")
     assert itm_slam.Calibration.load(tmp_path / "calibration.txt") == calibration
@@ -110,14 +112,17 @@ def test_synthetic_recordings_without_files() -> None:
     assert sequence[-1].raw_depth is None and sequence[-1].depth.shape == (48, 64)
     assert len(sequence.ground_truth) == 3
     assert np.array_equal(sequence[1].depth, itm_slam.synth(frames=3, size=(64, 48), noise="off")[1].depth)
-    for wrong in [{"path": "nowhere"}, {"scene": "hall"}, {"noise": "some"}, {"quality": "good"}, {"size": (0, 4)}]:
+    wrong: list[dict[str, Any]] = [
+        {"path": "nowhere"}, {"scene": "hall"}, {"noise": "some"}, {"quality": "good"}, {"size": (0, 4)}
+    ]
+    for arguments in wrong:
         with pytest.raises(ValueError):
-            itm_slam.synth(**wrong)  # type: ignore[call-overload]
+            itm_slam.synth(**arguments)
 
 
 def test_settings() -> None:
-    def voxel(*settings: object, **more: object) -> object:
-        return itm_slam.resolve_settings(*settings, **more)["map"]["voxel_size_m"]  # type: ignore[arg-type]
+    def voxel(*settings: Any, **more: Any) -> Any:
+        return itm_slam.resolve_settings(*settings, **more)["map"]["voxel_size_m"]
 
     assert voxel() == pytest.approx(0.005)
     assert voxel(map={"voxel_size_m": 0.01}) == pytest.approx(0.01)
@@ -127,7 +132,7 @@ def test_settings() -> None:
     assert voxel("map.voxel_size_m = 0.02", map={"voxel_size_m": 0.03}) == pytest.approx(0.03)
     tree = itm_slam.resolve_settings(mode="surfels", tracker="type=icp,levels=rrbb", device="llvmpipe")
     assert tree["mode"] == "surfels" and tree["tracker"]["kind"] == "icp" and tree["device"]["adapter"] == "llvmpipe"
-    assert itm_slam.resolve_settings(**{"map.dense.size": [64, 64, 64]})["map"]["dense"]["size"] == [64, 64, 64]
+    assert itm_slam.resolve_settings({"map.dense.size": [64, 64, 64]})["map"]["dense"]["size"] == [64, 64, 64]
     with pytest.raises(itm_slam.SettingsError, match="voxel_sise_m.*voxel_size_m"):
         voxel(map={"voxel_sise_m": 0.01})
     with pytest.raises(itm_slam.SettingsError, match="map.voxel_size_m must be"):
@@ -145,7 +150,8 @@ def test_settings() -> None:
 def test_settings_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "settings.toml"
     path.write_text("[map]\nvoxel_size_m = 0.02\n")
-    for given in [path, str(path)]:
+    both: list[str | Path] = [path, str(path)]
+    for given in both:
         assert itm_slam.resolve_settings(given)["map"]["voxel_size_m"] == pytest.approx(0.02)
     path.write_text("[map]\nvoxel_sise_m = 0.02\n")
     with pytest.raises(itm_slam.SettingsError, match=r"settings\.toml"):

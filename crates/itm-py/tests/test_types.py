@@ -15,7 +15,7 @@ def check(*arguments: object) -> None:
 
 
 def test_tests_and_examples_are_well_typed() -> None:
-    check("mypy", "--strict", "python/itm_slam", "tests", "examples")
+    check("mypy", "--strict", "python/itm_slam", "tests", "examples", "benchmarks")
 
 
 def test_the_stubs_are_in_step() -> None:
