@@ -27,9 +27,10 @@ fn values<T: Element + Copy>(array: &Bound<'_, PyArrayDyn<T>>) -> PyResult<Vec<T
         return values(copy.cast::<PyArrayDyn<T>>()?);
     }
     let view = array.try_readonly()?;
+    let view = view.as_array();
     Ok(match view.as_slice() {
-        Ok(slice) => slice.to_vec(),
-        Err(_) => view.as_array().iter().copied().collect(),
+        Some(slice) => slice.to_vec(),
+        None => view.iter().copied().collect(),
     })
 }
 
@@ -107,6 +108,9 @@ fn numbers(value: &Bound<'_, PyAny>, name: &str, expected: &str) -> PyResult<(Ve
 
 fn motion(numbers: &[f64]) -> Result<Se3, String> {
     let rows: [f64; 16] = numbers.try_into().map_err(|_| "it has not 16 numbers".to_owned())?;
+    if rows.iter().any(|number| !number.is_finite()) {
+        return Err(itm_core::PoseError::NotFinite.to_string());
+    }
     if rows[12..] != [0.0, 0.0, 0.0, 1.0] {
         return Err(format!("its last row must be 0, 0, 0, 1, not {:?}", &rows[12..]));
     }

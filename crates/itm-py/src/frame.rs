@@ -19,7 +19,7 @@ pub(crate) struct Frame {
 
 impl Frame {
     pub(crate) fn new(frame: itm_core::Frame, calibration: itm_core::Calibration) -> Self {
-        let (depth, raw_depth, colour) = Default::default();
+        let (depth, raw_depth, colour) = (PyOnceLock::new(), PyOnceLock::new(), PyOnceLock::new());
         Self { frame, calibration, depth, raw_depth, colour }
     }
 }

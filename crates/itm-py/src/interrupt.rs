@@ -66,22 +66,16 @@ pub(crate) fn with_progress<T: Send>(
     }
 }
 
-/// Runs a call whose progress callback other threads call, detached from the interpreter, while this thread looks for Ctrl-C,
-/// which only the main thread is told of. The call's argument is to be called now and then, and does not return once the call is
-/// to end.
-pub(crate) fn watched<T: Send>(py: Python<'_>, call: impl FnOnce(&(dyn Fn() + Sync)) -> T + Send) -> PyResult<T> {
+/// Runs a call on another thread, detached from the interpreter, while this one looks for Ctrl-C, which only the main thread is
+/// told of. The call is to end early once its argument is set.
+pub(crate) fn watched<T: Send>(py: Python<'_>, call: impl FnOnce(&AtomicBool) -> T + Send) -> PyResult<T> {
     let stopping = AtomicBool::new(false);
-    let look = || {
-        if stopping.load(Ordering::Relaxed) {
-            stop();
-        }
-    };
     py.detach(|| {
         thread::scope(|scope| {
-            let worker = scope.spawn(|| stoppable(|| call(&look)));
+            let worker = scope.spawn(|| call(&stopping));
             let mut raised = None;
             while !worker.is_finished() {
-                thread::sleep(EVERY.min(Duration::from_millis(5)));
+                thread::sleep(Duration::from_millis(5));
                 if raised.is_none()
                     && let Err(error) = Python::attach(|py| py.check_signals())
                 {
@@ -90,10 +84,9 @@ pub(crate) fn watched<T: Send>(py: Python<'_>, call: impl FnOnce(&(dyn Fn() + Sy
                 }
             }
             match (worker.join(), raised) {
-                (_, Some(error)) => Err(error),
-                (Ok(Some(result)), None) => Ok(result),
-                (Ok(None), None) => Err(pyo3::exceptions::PyKeyboardInterrupt::new_err(())),
-                (Err(payload), None) => resume_unwind(payload),
+                (Err(payload), _) => resume_unwind(payload),
+                (Ok(_), Some(error)) => Err(error),
+                (Ok(result), None) => Ok(result),
             }
         })
     })

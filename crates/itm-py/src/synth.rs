@@ -1,8 +1,9 @@
 //! Synthetic recordings.
 
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::str::FromStr as _;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use itm_io::recording::OpenOptions;
 use itm_synth::{DepthNoise, Error, InertialNoise, Path, Quality, SceneName, Spec};
@@ -76,7 +77,12 @@ pub(crate) fn synth<'py>(
     let Some(folder) = folder else {
         return Ok(Bound::new(py, Sequence(sequence))?.into_any());
     };
-    watched(py, |look| itm_synth::write_recording(&folder, &sequence, &|_| look()))?.map_err(of_synth)?;
+    let write = |stopping: &AtomicBool| {
+        let told =
+            |_| if stopping.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+        itm_synth::write_recording_until(&folder, &sequence, &told)
+    };
+    let _written = watched(py, write)?.map_err(of_synth)?;
     Ok(Bound::new(py, Recording::open(py, folder, OpenOptions::default())?)?.into_any())
 }
 

@@ -127,9 +127,9 @@ def test_settings() -> None:
     assert voxel() == pytest.approx(0.005)
     assert voxel(map={"voxel_size_m": 0.01}) == pytest.approx(0.01)
     assert voxel(**{"map.voxel_size_m": np.float32(0.01)}) == pytest.approx(0.01)
-    assert voxel({"map": {"voxel_size_m": 1}}) == 1
+    assert itm_slam.resolve_settings({"map": {"swap_margin_m": 1}})["map"]["swap_margin_m"] == 1
     assert voxel("[map]\nvoxel_size_m = 0.02") == pytest.approx(0.02)
-    assert voxel("map.voxel_size_m = 0.02", map={"voxel_size_m": 0.03}) == pytest.approx(0.03)
+    assert voxel("map.voxel_size_m = 0.02", map={"voxel_size_m": 0.015}) == pytest.approx(0.015)
     tree = itm_slam.resolve_settings(mode="surfels", tracker="type=icp,levels=rrbb", device="llvmpipe")
     assert tree["mode"] == "surfels" and tree["tracker"]["kind"] == "icp" and tree["device"]["adapter"] == "llvmpipe"
     assert itm_slam.resolve_settings({"map.dense.size": [64, 64, 64]})["map"]["dense"]["size"] == [64, 64, 64]

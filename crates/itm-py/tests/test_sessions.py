@@ -218,7 +218,7 @@ def test_ctrl_c_ends_what_takes_long(tmp_path: Path) -> None:
     threading.Thread(target=press).start()
     started = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
-        itm_slam.synth(tmp_path / "long", path="corridor", quality="fine")
+        itm_slam.synth(tmp_path / "long", path="corridor")
     assert not (tmp_path / "long" / "depth.txt").exists()
     # The whole of it takes many minutes.
     assert time.monotonic() - started < 60
