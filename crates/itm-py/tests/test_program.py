@@ -25,11 +25,10 @@ def test_it_is_the_program(tmp_path: Path) -> None:
 
 
 @pytest.mark.gpu
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("poses", ["tracked", "given"])
+@pytest.mark.parametrize(
+    ("mode", "poses"), [*((mode, "tracked") for mode in MODES), ("basic", "given"), ("surfels", "given")]
+)
 def test_the_same_bytes(mode: str, poses: Any, room: Path, tmp_path: Path) -> None:
-    if poses == "given" and mode != "basic":
-        pytest.skip("fusing at given poses is one path in all modes")
     size = ["--set", "map.voxel_size_m=0.02", "--set", "map.truncation_m=0.08"]
     ran = itm(
         *("run", room, "-o", "out", "--save", "program.itm", "--no-mesh", "--quiet"),

@@ -15,6 +15,40 @@ _Trajectory = Union["Trajectory", _Path, tuple[ArrayLike, ArrayLike]]
 _Progress = Callable[[int, int], object]
 _Up = Literal["y-down", "y-up", "z-up"]
 
+__all__ = [
+    "Adapter",
+    "Calibration",
+    "CalibrationError",
+    "DeviceError",
+    "Error",
+    "ErrorStatistics",
+    "Evaluation",
+    "ExportError",
+    "Frame",
+    "FrameReport",
+    "FrameResult",
+    "Frames",
+    "Happening",
+    "Intrinsics",
+    "MapError",
+    "Mesh",
+    "PointCloud",
+    "Recording",
+    "RecordingError",
+    "Sequence",
+    "Session",
+    "SettingsError",
+    "Trajectory",
+    "TrajectoryError",
+    "__version__",
+    "adapters",
+    "evaluate",
+    "main",
+    "open",
+    "resolve_settings",
+    "synth",
+]
+
 __version__: str
 
 class Error(Exception): ...
