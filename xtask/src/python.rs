@@ -1,6 +1,6 @@
 //! Builds the Python package and runs its tests, in a virtual environment of their own below the target folder.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 
 use anyhow::{Context as _, Result, bail};
@@ -125,6 +125,5 @@ mod tests {
     #[test]
     fn the_package_lies_where_it_is_looked_for() {
         assert!(workspace_root().join(PACKAGE).join("pyproject.toml").is_file());
-        assert!(Path::new(PACKAGE).is_relative());
     }
 }
