@@ -164,14 +164,14 @@ pub(crate) fn timestamp(value: &Bound<'_, PyAny>) -> PyResult<Timestamp> {
     if value.is_instance_of::<PyBool>() {
         return Err(wrong());
     }
-    if !value.is_instance_of::<PyFloat>() {
-        if let Ok(index) = value.call_method0("__index__") {
-            let too_large = |_| PyValueError::new_err(format!("a timestamp of {index} ns does not fit 64 bits"));
-            return index.extract::<i64>().map(Timestamp).map_err(too_large);
-        }
+    if !value.is_instance_of::<PyFloat>()
+        && let Ok(index) = value.call_method0("__index__")
+    {
+        let too_large = |_| PyValueError::new_err(format!("a timestamp of {index} ns does not fit 64 bits"));
+        return index.extract::<i64>().map(Timestamp).map_err(too_large);
     }
     let seconds: f64 = value.extract().map_err(|_| wrong())?;
-    if !(seconds.abs() < 9e9) {
+    if !(-9e9..9e9).contains(&seconds) {
         return Err(PyValueError::new_err(format!("a timestamp must be finite seconds below 9e9, not {seconds}")));
     }
     Ok(Timestamp::from_secs_f64(seconds))

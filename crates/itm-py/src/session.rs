@@ -44,7 +44,7 @@ pub(crate) struct Session {
 
 /// What a session is made for.
 enum Source<'a, 'py> {
-    Calibration(itm_core::Calibration),
+    Calibration(Box<itm_core::Calibration>),
     Recording(&'a Bound<'py, Recording>),
 }
 
@@ -54,14 +54,14 @@ impl<'a, 'py> Source<'a, 'py> {
             return Ok(Self::Recording(recording));
         }
         if let Ok(sequence) = value.cast::<Sequence>() {
-            return Ok(Self::Calibration(sequence.get().0.calibration()));
+            return Ok(Self::Calibration(Box::new(sequence.get().0.calibration())));
         }
-        calibration::of(value).map(Self::Calibration)
+        calibration::of(value).map(Box::new).map(Self::Calibration)
     }
 
     fn calibration(&self) -> itm_core::Calibration {
         match self {
-            Self::Calibration(calibration) => *calibration,
+            Self::Calibration(calibration) => **calibration,
             Self::Recording(recording) => recording.get().info.calibration,
         }
     }
