@@ -4,21 +4,22 @@ use std::process::Command;
 
 use anyhow::Result;
 
+use crate::python;
 use crate::setup::{self, Installing, cargo, succeeds};
 use crate::steps::{Step, run_all};
 
-/// Sets up what is missing, then formatting, lints, documentation, every test and doc test.
+/// Sets up what is missing, then formatting, lints, documentation, every test and doc test, and the Python package's tests.
 pub(crate) fn test(installing: Installing, keep_going: bool) -> Result<()> {
     setup::components(installing)?;
     setup::adapter(installing)?;
-    run_all(steps(keep_going), keep_going)
+    run_all(steps(installing, keep_going)?, keep_going)
 }
 
 /// The same, and cargo-deny before it.
 pub(crate) fn ci(installing: Installing, keep_going: bool) -> Result<()> {
     setup::components(installing)?;
     setup::adapter(installing)?;
-    let mut steps = steps(keep_going);
+    let mut steps = steps(installing, keep_going)?;
     if succeeds(cargo().args(["deny", "--version"])) {
         steps.insert(0, Step::new("deny", with_arguments(&["deny", "check", "bans", "licenses", "sources"])));
     } else {
@@ -28,19 +29,20 @@ pub(crate) fn ci(installing: Installing, keep_going: bool) -> Result<()> {
 }
 
 /// The cheap steps first, the tests last, so that their result is what stands at the end.
-fn steps(keep_going: bool) -> Vec<Step> {
+fn steps(installing: Installing, keep_going: bool) -> Result<Vec<Step>> {
     let mut doc = with_arguments(&["doc", "--workspace", "--no-deps"]);
     doc.env("RUSTDOCFLAGS", deny_warnings(std::env::var("RUSTDOCFLAGS").ok().as_deref()));
     let mut test = with_arguments(&["test", "--workspace"]);
     if keep_going {
         test.arg("--no-fail-fast");
     }
-    vec![
+    Ok(vec![
         Step::new("fmt", with_arguments(&["fmt", "--all", "--check"])),
         Step::new("clippy", with_arguments(&["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
         Step::new("doc", doc),
         Step::new("test", test),
-    ]
+        python::step(installing)?,
+    ])
 }
 
 /// The user's flags for rustdoc, and warnings denied.

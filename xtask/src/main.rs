@@ -1,4 +1,4 @@
-//! The tasks of the workspace: `cargo xtask setup | test | ci | demo | accuracy`.
+//! The tasks of the workspace: `cargo xtask setup | test | ci | python | demo | accuracy`.
 //!
 //! Plain Rust instead of scripts, and none of the workspace's own crates, so that it builds in seconds on a machine
 //! that has nothing but a Rust toolchain. The rules of the workspace that no compiler checks are tests of this package
@@ -9,6 +9,7 @@ mod accuracy;
 mod checks;
 mod demo;
 mod distribution;
+mod python;
 mod setup;
 mod steps;
 mod verdict;
@@ -34,10 +35,12 @@ struct Arguments {
 enum Task {
     /// Look for a Vulkan adapter, and install the software driver where there is none
     Setup(SetupArguments),
-    /// Check formatting, lints and documentation, then run every test and doc test
+    /// Check formatting, lints and documentation, then run every test and doc test, those of the Python package too
     Test(CheckArguments),
     /// What `test` does, and the licences and duplicates of all dependencies where cargo-deny is installed
     Ci(CheckArguments),
+    /// Build the Python package in target/python, and run its tests and type checks, as `test` does at its end
+    Python(SetupArguments),
     /// Make a synthetic recording, reconstruct it, and say how good the result is
     Demo(DemoArguments),
     /// Measure every tracker and extension on synthetic and real recordings, and write docs/ACCURACY.md's tables
@@ -119,6 +122,7 @@ fn run() -> Result<()> {
         Task::Setup(arguments) => setup::adapter(arguments.installing()),
         Task::Test(arguments) => checks::test(arguments.setup.installing(), arguments.keep_going),
         Task::Ci(arguments) => checks::ci(arguments.setup.installing(), arguments.keep_going),
+        Task::Python(arguments) => python::test(arguments.installing()),
         Task::Demo(arguments) => demo::demo(arguments.setup.installing(), arguments.frames, arguments.out.as_deref()),
         Task::TrainVerdict(arguments) => verdict::train(arguments.setup.installing(), arguments.measure),
         Task::Accuracy(AccuracyArguments { setup, data, quick, only }) => {

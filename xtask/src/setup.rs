@@ -37,12 +37,17 @@ fn compiler(installing: Installing) -> Result<()> {
     if std::env::var_os("CXX").is_some() || succeeds(Command::new("c++").arg("--version")) {
         return Ok(());
     }
-    let debian = Distribution::of_this_machine() == Distribution::Debian;
     let advice = "there is no C++ compiler (c++), which zstd and meshoptimizer are built with. Install one: on Debian and \
                   Ubuntu, apt-get install build-essential";
-    let Some(become_root) = root_prefix(installing).filter(|_| debian) else { bail!(advice) };
-    println!("Compiler: there is none for C++. Installing g++ with apt-get");
-    apt_get_install(become_root, &["g++"], advice)
+    install_on_debian(installing, "Compiler: there is none for C++", &["g++"], advice)
+}
+
+/// Installs packages on Debian and its derivatives, where that is allowed; fails with the advice where it is not.
+pub(crate) fn install_on_debian(installing: Installing, lack: &str, packages: &[&str], advice: &str) -> Result<()> {
+    let debian = Distribution::of_this_machine() == Distribution::Debian;
+    let Some(become_root) = root_prefix(installing).filter(|_| debian) else { bail!("{advice}") };
+    println!("{lack}. Installing {} with apt-get", packages.join(" "));
+    apt_get_install(become_root, packages, advice)
 }
 
 /// Installs packages as root.

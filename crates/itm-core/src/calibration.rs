@@ -111,6 +111,19 @@ impl Calibration {
         }
     }
 
+    /// What a raw depth value is in metres, in the order of operations and the precision in which devices convert; 0 where it
+    /// means 'no measurement'.
+    pub fn metres(&self, raw: u16) -> f32 {
+        if raw == 0 || raw == u16::MAX {
+            return 0.0;
+        }
+        let raw = f32::from(raw);
+        match self.depth_conversion {
+            DepthConversion::Affine { scale, offset } => raw * scale as f32 + offset as f32,
+            DepthConversion::Disparity { a, b } => (8.0 * b * self.depth.fx) as f32 / (a as f32 - raw),
+        }
+    }
+
     /// Checks that every number can be meant.
     ///
     /// # Errors

@@ -70,5 +70,7 @@ pub use warning::Warning;
 
 pub use itm_core::*;
 pub use itm_gpu::render::{Scale, Shading};
-pub use itm_gpu::{AdapterKind, AdapterReport, Capabilities, Device, FrameRecord, MapLayout, SurfelRecord};
+pub use itm_gpu::{
+    AdapterKind, AdapterReport, Capabilities, Device, Error as DeviceError, FrameRecord, MapLayout, SurfelRecord,
+};
 pub use itm_reloc::{AveragePose, Keyframe};

@@ -131,13 +131,7 @@ impl Session {
         };
         let range = Self::check(recording.as_ref(), options)?;
         let info = recording.info().clone();
-        let mut settings = options.settings.clone();
-        // A plane for colours that never come would be half the map's memory.
-        settings.map.colour &= info.has_colour && settings.view.colour;
-        let extended = matches!(settings.tracker.kind, TrackerKind::Extended | TrackerKind::ExtendedImu);
-        if extended && options.poses == Poses::Tracked {
-            without_colour(&mut settings, &info);
-        }
+        let settings = Self::fit(&options.settings, &info, options.poses);
         let slam = match &options.start {
             Start::Afresh => Slam::new(device, &info.calibration, &settings, options.poses)?,
             Start::Resume(path) => Slam::resume(device, path)?,
@@ -157,6 +151,18 @@ impl Session {
             finished: false,
             stop: Arc::default(),
         })
+    }
+
+    /// Settings without what a recording cannot fill: colours in the map, and their comparison by trackers that go without.
+    pub fn fit(settings: &Settings, info: &RecordingInfo, poses: Poses) -> Settings {
+        let mut settings = settings.clone();
+        // A plane for colours that never come would be half the map's memory.
+        settings.map.colour &= info.has_colour && settings.view.colour;
+        let extended = matches!(settings.tracker.kind, TrackerKind::Extended | TrackerKind::ExtendedImu);
+        if extended && poses == Poses::Tracked {
+            without_colour(&mut settings, info);
+        }
+        settings
     }
 
     /// Finds out, without a device, whether a recording can be run so, and returns the frames that would be.

@@ -50,4 +50,4 @@ pub use sequence::{Sequence, Spec};
 pub use shape::Shape;
 pub use surface::exact_mesh;
 pub use texture::{Material, Motif, Texture, colour};
-pub use write::{Written, write_recording};
+pub use write::{Written, write_recording, write_recording_until};

@@ -1,8 +1,10 @@
 //! A recording as a folder of files.
 
+use std::convert::Infallible;
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{BufWriter, Write as _};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -47,17 +49,51 @@ pub struct Written {
 /// # Errors
 /// Where a file cannot be written.
 pub fn write_recording(folder: &Path, sequence: &Sequence, progress: &(dyn Fn(u32) + Sync)) -> Result<Written, Error> {
+    let told = |done| {
+        progress(done);
+        ControlFlow::<Infallible>::Continue(())
+    };
+    match write_all(folder, sequence, &told)? {
+        ControlFlow::Continue(written) => Ok(written),
+        ControlFlow::Break(never) => match never {},
+    }
+}
+
+/// The same, broken off after the frames under way where `progress` says so; `None` then.
+///
+/// # Errors
+/// As [`write_recording`].
+pub fn write_recording_until(
+    folder: &Path,
+    sequence: &Sequence,
+    progress: &(dyn Fn(u32) -> ControlFlow<()> + Sync),
+) -> Result<Option<Written>, Error> {
+    Ok(write_all(folder, sequence, progress)?.continue_value())
+}
+
+fn write_all<B: Send>(
+    folder: &Path,
+    sequence: &Sequence,
+    progress: &(dyn Fn(u32) -> ControlFlow<B> + Sync),
+) -> Result<ControlFlow<B, Written>, Error> {
     for sub in ["rgb", "depth"] {
         let path = folder.join(sub);
         fs::create_dir_all(&path).map_err(|source| Error::Write { path, source })?;
     }
     let frames = sequence.spec().frames;
     let done = AtomicU32::new(0);
-    (0..frames).into_par_iter().try_for_each(|i| {
-        write_frame(folder, &sequence.frame(i))?;
-        progress(done.fetch_add(1, Ordering::Relaxed) + 1);
-        Ok::<(), Error>(())
-    })?;
+    let written = (0..frames).into_par_iter().try_for_each(|i| {
+        write_frame(folder, &sequence.frame(i)).map_err(ControlFlow::Continue)?;
+        match progress(done.fetch_add(1, Ordering::Relaxed) + 1) {
+            ControlFlow::Continue(()) => Ok(()),
+            ControlFlow::Break(broken) => Err(ControlFlow::Break(broken)),
+        }
+    });
+    match written {
+        Ok(()) => {}
+        Err(ControlFlow::Break(broken)) => return Ok(ControlFlow::Break(broken)),
+        Err(ControlFlow::Continue(error)) => return Err(error),
+    }
 
     let calibration = folder.join("calibration.txt");
     write_text(&calibration, &calibration_text(sequence))?;
@@ -66,7 +102,7 @@ pub fn write_recording(folder: &Path, sequence: &Sequence, progress: &(dyn Fn(u3
     write_text(&ground_truth, &poses_text(sequence))?;
     write_lists(folder, sequence)?;
     tracing::debug!(folder = %folder.display(), frames, "recording written");
-    Ok(Written { folder: folder.to_path_buf(), frames, calibration, ground_truth })
+    Ok(ControlFlow::Continue(Written { folder: folder.to_path_buf(), frames, calibration, ground_truth }))
 }
 
 fn image_name(kind: &str, index: u64) -> String {

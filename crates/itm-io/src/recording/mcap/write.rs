@@ -305,7 +305,7 @@ fn depth_image(depth: &DepthImage, calibration: &Calibration, time: Timestamp) -
             ("16UC1", 2, image.data().iter().flat_map(|value| value.to_le_bytes()).collect())
         }
         DepthImage::Raw(image) => {
-            let metres = |&value: &u16| metres(value, calibration).to_le_bytes();
+            let metres = |&value: &u16| calibration.metres(value).to_le_bytes();
             ("32FC1", 4, image.data().iter().flat_map(metres).collect())
         }
         DepthImage::Metres(image) => ("32FC1", 4, image.data().iter().flat_map(|value| value.to_le_bytes()).collect()),
@@ -318,18 +318,6 @@ fn depth_image(depth: &DepthImage, calibration: &Calibration, time: Timestamp) -
         step: width * bytes,
         data,
         frame_id: DEPTH_CAMERA.into(),
-    }
-}
-
-/// What a raw value is in metres, in the order of operations and the precision of the stage `view`.
-fn metres(value: u16, calibration: &Calibration) -> f32 {
-    if value == 0 || value == u16::MAX {
-        return 0.0;
-    }
-    let raw = f32::from(value);
-    match calibration.depth_conversion {
-        DepthConversion::Affine { scale, offset } => raw * scale as f32 + offset as f32,
-        DepthConversion::Disparity { a, b } => (8.0 * b * calibration.depth.fx) as f32 / (a as f32 - raw),
     }
 }
 
