@@ -303,13 +303,13 @@ mod tests {
         assert!(lines(&timings).is_empty());
         timings.frame(&result(7, FrameStatus::Tracked, report(4)), 12.0).unwrap();
         let expected = [
-            "4,2.000000000,placed,1.5000,,,,,,,,,,2.0000,,,,,,10.0000,7,20,,,,,,,,,,",
-            "5,,skipped,,,,,,,,,,,,,,,,,,,,,,,,,,,,,\"cut off\"",
-            "6,3.000000000,lost,,,,,,,,,,,,,,,,,11.0000,,,,,,,lost,,,,,\"too few\"",
+            "4,2.000000000,placed,1.5000,,,,,,,,,,2.0000,,,,,,,10.0000,7,20,,,,,,,,,,",
+            "5,,skipped,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,\"cut off\"",
+            "6,3.000000000,lost,,,,,,,,,,,,,,,,,,11.0000,,,,,,,lost,,,,,\"too few\"",
         ];
         assert_eq!(lines(&timings), expected);
         timings.finish(&[report(7).unwrap()]).unwrap();
-        assert_eq!(lines(&timings)[3], "7,3.500000000,tracked,1.5000,,,,,,,,,,2.0000,,,,,,12.0000,7,20,,,,,good,,,,,");
+        assert_eq!(lines(&timings)[3], "7,3.500000000,tracked,1.5000,,,,,,,,,,2.0000,,,,,,,12.0000,7,20,,,,,good,,,,,");
         let header = String::from_utf8(timings.writer.clone()).unwrap();
         let columns = header.lines().next().unwrap().split(',').count();
         assert!(lines(&timings).iter().all(|line| line.split(',').count() == columns), "{header}");
@@ -338,7 +338,7 @@ mod tests {
         let result = FrameResult { tracked: Some(tracked), fused: false, ..result(3, status, None) };
         timings.frame(&result, 9.0).unwrap();
         let cells = "poor,0.6250,0.000200,2,5/3/0/2,\"12 %, of 900; the \"\"plane\"\" slides\"";
-        let expected = format!("3,1.500000000,poor,,,0.0000,,,,,,,,,,,,,,9.0000,,,,108,0.1200,4.0000,{cells}");
+        let expected = format!("3,1.500000000,poor,,,0.0000,,,,,,,,,,,,,,,9.0000,,,,108,0.1200,4.0000,{cells}");
         assert_eq!(lines(&timings), [expected]);
         assert_eq!(timings.rows()[0].trouble(), Some("poor"));
     }
