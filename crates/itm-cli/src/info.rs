@@ -60,7 +60,7 @@ struct Info {
     trajectory_seconds: f64,
     trajectory_length_m: f64,
     /// Of a map of surfels.
-    surfels: Option<usize>,
+    surfels: Option<u64>,
     sections: Vec<Section>,
 }
 
@@ -68,6 +68,9 @@ struct Info {
 struct Submap {
     submap: u16,
     blocks: u64,
+    /// Of a map of surfels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    surfels: Option<u64>,
     /// `null` where the file says where others are, but not this one.
     world_from_submap: Option<Se3>,
 }
@@ -100,6 +103,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let trajectory = if reader.has(tag::TRAJECTORY) { reader.trajectory()? } else { Trajectory::default() };
     let poses_of_submaps = reader.submaps()?;
     let surfels = itm_slam::count_surfels(&mut reader)?;
+    let mut submaps = submaps_of(&keys, &poses_of_submaps);
+    if let Some(counts) = &surfels {
+        submaps.iter_mut().for_each(|submap| submap.surfels = Some(counts.get(&submap.submap).copied().unwrap_or(0)));
+    }
     let header = reader.header().clone();
     let block_m = f64::from(header.voxel_size_m) * f64::from(BLOCK_SIDE);
     let bounds = keys.iter().map(|k| (k.position, k.position)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
@@ -119,7 +126,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         device_blocks,
         host_blocks,
         blocks: keys.len(),
-        submaps: submaps_of(&keys, &poses_of_submaps),
+        submaps,
         voxel_bytes: keys.len() as u64 * header.voxel_kind.block_bytes(),
         bounds_m: bounds.map(|(first, last)| [corner(first), corner(last + 1)]),
         poses: poses.len(),
@@ -130,7 +137,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         trajectory_length_m: steps
             .map(|w| w[0].world_from_camera.translation.distance(w[1].world_from_camera.translation))
             .fold(0.0, |sum, step| sum + step),
-        surfels,
+        surfels: surfels.map(|counts| counts.into_values().sum()),
         sections: reader
             .sections()
             .map(|s| Section {
@@ -156,7 +163,7 @@ fn submaps_of(keys: &HashSet<BlockKey>, poses: &[SubmapPose]) -> Vec<Submap> {
         [] => Some(Se3::IDENTITY),
         poses => poses.iter().find(|pose| pose.submap == submap).map(|pose| pose.world_from_submap),
     };
-    let submap = |(submap, blocks)| Submap { submap, blocks, world_from_submap: pose(submap) };
+    let submap = |(submap, blocks)| Submap { submap, blocks, surfels: None, world_from_submap: pose(submap) };
     blocks.into_iter().map(submap).collect()
 }
 
@@ -191,8 +198,11 @@ impl fmt::Display for Info {
         }
         if self.submaps.len() > 1 {
             writeln!(f, "submaps     {}", self.submaps.len())?;
-            for Submap { submap, blocks, world_from_submap } in &self.submaps {
-                write!(f, "  {submap:<9} {blocks} blocks, ")?;
+            for Submap { submap, blocks, surfels, world_from_submap } in &self.submaps {
+                match surfels {
+                    Some(surfels) => write!(f, "  {submap:<9} {surfels} surfels, ")?,
+                    None => write!(f, "  {submap:<9} {blocks} blocks, ")?,
+                }
                 match world_from_submap {
                     Some(pose) => {
                         let ([x, y, z], degrees) = (pose.translation.to_array(), pose.angle().to_degrees());

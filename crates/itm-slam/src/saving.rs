@@ -4,10 +4,10 @@
 //! on from it does, to the bit, what the one that was saved would have done. What was on its way between device and host is
 //! read when the session is saved, and still taken over at its frame.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use itm_core::surfel::SURFEL_WORDS;
+use itm_core::surfel::{SURFEL_WORDS, Surfel};
 use itm_core::voxel::BlockKey;
 use itm_core::{MapIndex, Se3, Settings, SubmapSettings};
 use itm_gpu::swap::Left;
@@ -148,17 +148,19 @@ fn to_words(bytes: &[u8]) -> Vec<u32> {
     bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
 }
 
-/// How many surfels a map file holds; none where it is one of voxels.
+/// How many surfels a map file holds of each submap; nothing where it is one of voxels.
 ///
 /// # Errors
 /// Where the file cannot be read, or is damaged.
-pub fn count_surfels(reader: &mut MapReader) -> Result<Option<usize>, itm_io::Error> {
+pub fn count_surfels(reader: &mut MapReader) -> Result<Option<BTreeMap<u16, u64>>, itm_io::Error> {
     if !reader.has(SURFELS) {
         return Ok(None);
     }
     let words = to_words(&reader.bytes(SURFELS)?);
     let (slots, _) = words.as_chunks::<SURFEL_WORDS>();
-    Ok(Some(slots.iter().filter(|words| f32::from_bits(words[3]) > 0.0).count()))
+    let mut counts = BTreeMap::new();
+    slots.iter().filter_map(|words| Surfel::from_words(*words)).for_each(|s| *counts.entry(s.submap).or_default() += 1);
+    Ok(Some(counts))
 }
 
 /// The surfels of a file, empty slots included.

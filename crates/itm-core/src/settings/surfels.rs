@@ -24,11 +24,12 @@ pub struct SurfelSettings {
     pub max_confidence: f32,
     /// Frames after which an unstable surfel that was not observed again is removed.
     pub patience: u32,
-    /// Confidence from which on surfels are tracked against, once the map is `all_for` frames old.
+    /// Confidence from which on surfels are tracked against, once their submap is `all_for` frames old. What is below it is removed
+    /// where frames are fused into another submap.
     pub track_from: f32,
-    /// So many first frames are tracked against all surfels.
+    /// So many first frames of a submap are tracked against all surfels.
     pub all_for: u32,
-    /// A surfel is a measurement's if their depths differ by at most this many metres …
+    /// A surfel is a measurement's, and may be drawn though another one is nearer, if their depths differ by at most this many metres …
     pub window_m: f32,
     /// … and so many standard deviations of depth (a Kinect's, Nguyen et al. 2012) more …
     pub window_deviations: f32,
