@@ -37,9 +37,9 @@ pub use points::PointCloud;
 pub use se3::{PoseError, Se3};
 pub use settings::{
     BilateralSettings, CompositePolicy, CompositeSettings, DenseSettings, DepthWeight, DeviceSettings,
-    DynamicsSettings, ExtendedSettings, FileSettings, ForwardProjectionSettings, IcpSettings, ImuSettings, MapIndex,
-    MapSettings, Mode, ObservationWeight, OnFailure, RelocaliserImage, RelocaliserKind, RelocaliserSettings,
-    RgbSettings, Settings, SettingsError, SubmapSettings, SurfelSettings, Swapping, TrackerKind, TrackerSettings,
-    VerdictSettings, ViewSettings,
+    DynamicsSettings, ExtendedSettings, FileSettings, ForwardProjectionSettings, IcpSettings, ImuSettings,
+    LIVE_SETTINGS, MapIndex, MapSettings, Mode, ObservationWeight, OnFailure, RelocaliserImage, RelocaliserKind,
+    RelocaliserSettings, RgbSettings, Settings, SettingsError, SubmapSettings, SurfelSettings, Swapping, TrackerKind,
+    TrackerSettings, VerdictSettings, ViewSettings,
 };
 pub use trajectory::{StampedPose, Trajectory};

@@ -48,6 +48,7 @@ pub fn index_in_block(voxel: IVec3) -> usize {
 
 /// How a voxel's distance is kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum DistanceKind {
     /// 16 bits, beside a weight of 16 bits in one word: [`DistanceVoxel`].

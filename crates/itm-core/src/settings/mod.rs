@@ -1,6 +1,9 @@
 //! The settings of a run: one tree, documented where it is defined, unknown keys refused.
 
+mod live;
 mod relocaliser;
+#[cfg(all(test, feature = "schema"))]
+mod schema_tests;
 mod submaps;
 mod surfels;
 mod tracker;
@@ -10,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::voxel::{BEST_OBSERVATION, DistanceKind};
+pub use live::LIVE_SETTINGS;
 pub use relocaliser::{RelocaliserImage, RelocaliserKind, RelocaliserSettings};
 pub use submaps::SubmapSettings;
 pub use surfels::{DynamicsSettings, SurfelSettings};
@@ -23,6 +27,7 @@ pub use tracker::{
 /// They come from a TOML file, then `key=value` overrides (`map.voxel_size_m=0.01`), then a program's own flags, later
 /// ones winning. Every run writes the resolved tree beside its results.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// What kind of map is made.
@@ -45,6 +50,7 @@ pub struct Settings {
 
 /// What kind of map is made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Mode {
     /// One map, in which an error of tracking stays.
@@ -83,6 +89,7 @@ impl Mode {
 
 /// Which adapter computes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct DeviceSettings {
     /// `auto` for the best one, a number from `itm devices`, or a part of the adapter's name.
@@ -97,6 +104,7 @@ impl Default for DeviceSettings {
 
 /// From raw images to what tracking and fusion use.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct ViewSettings {
     /// Depth below this many metres is ignored.
@@ -129,6 +137,7 @@ impl Default for ViewSettings {
 /// A bilateral filter whose range follows a Kinect's noise: σ(z) = 0.0012 + 0.0019 (z - 0.4)² metres (Nguyen et al.
 /// 2012, *Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking*).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct BilateralSettings {
     /// Number of 5x5 passes; 0 switches the filter off.
@@ -137,6 +146,7 @@ pub struct BilateralSettings {
 
 /// The volumetric map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct MapSettings {
     /// Edge of a voxel in metres.
@@ -195,6 +205,7 @@ pub struct MapSettings {
 
 /// How blocks are found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum MapIndex {
     /// By a hash: blocks are where surfaces are, wherever the camera goes.
@@ -206,6 +217,7 @@ pub enum MapIndex {
 
 /// The box of a dense map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct DenseSettings {
     /// Voxels along the world's x, y and z, each a multiple of 8.
@@ -236,6 +248,7 @@ impl DenseSettings {
 
 /// What happens once the device's budget is reached.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Swapping {
     /// New blocks find no room: what they would show is not mapped, and each frame says so.
@@ -284,6 +297,7 @@ impl Default for MapSettings {
 /// trusted to be tracked by. The price: such a threshold may be met by fewer observations, and meshes' weights count
 /// least observations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum ObservationWeight {
     /// One, whatever it is.

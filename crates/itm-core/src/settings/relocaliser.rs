@@ -12,6 +12,7 @@ use super::{SettingsError, check, in_range};
 /// How many frames must be good before fusion goes on stands in `tracker.verdict.frames_to_recover`, for a loss may also end
 /// without the relocaliser.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct RelocaliserSettings {
     /// Which relocaliser.
@@ -152,6 +153,7 @@ impl Default for RelocaliserSettings {
 
 /// A kind of relocaliser.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum RelocaliserKind {
     /// No keyframes are kept: after a loss, tracking looks around the last good pose only.
@@ -163,6 +165,7 @@ pub enum RelocaliserKind {
 
 /// Which images a relocaliser compares.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum RelocaliserImage {
     /// Depth, which light does not change.

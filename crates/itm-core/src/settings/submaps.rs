@@ -10,6 +10,7 @@ use super::{SettingsError, check};
 /// Submaps are rigid; frames are fused into one of them, the primary. Others are active as long as the camera is tracked in them
 /// too, which measures where they lie.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct SubmapSettings {
     /// A submap's central part: so many of the blocks that its first frame saw.

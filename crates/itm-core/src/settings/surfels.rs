@@ -7,6 +7,7 @@ use super::{SettingsError, check};
 /// How a map of surfels is made (Keller et al. 2013, *Real-time 3D Reconstruction in Dynamic Scenes using Point-based Fusion*;
 /// the report, section on surfel-based reconstruction). In force with `mode = "surfels"`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct SurfelSettings {
     /// Surfels that the map has room for at first; it grows.
@@ -62,6 +63,7 @@ pub struct SurfelSettings {
 /// How objects that move are found, whose surfels become unstable then (Keller et al. 2013, section on dynamics): where measurements stand in front
 /// of what is known, and where they see through it, grown over surfaces in cells of the image.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct DynamicsSettings {
     /// Whether objects that move are looked for.

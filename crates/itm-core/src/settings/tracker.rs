@@ -9,6 +9,7 @@ use super::{SettingsError, check, in_range};
 /// In a settings file and in overrides the whole tree may also be one string in the manner of the reference system,
 /// `tracker = "type=extended,levels=rrbb,useDepth=1"`; see [`TrackerSettings::set_string`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct TrackerSettings {
     /// Which tracker.
@@ -65,6 +66,7 @@ impl Default for TrackerSettings {
 /// rays are cast only where none of them falls (the report, section 3.4 and its settings). Faster than a full raycast, but
 /// points lag behind the map by as many frames as none is made.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct ForwardProjectionSettings {
     /// Whether to do so.
@@ -83,6 +85,7 @@ impl Default for ForwardProjectionSettings {
 
 /// A kind of tracker.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum TrackerKind {
     /// Point-to-plane ICP on depth; `tracker.icp`.
@@ -134,6 +137,7 @@ impl TrackerKind {
 
 /// What happens to a frame whose tracking failed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum OnFailure {
     /// The frame gets no pose and is not fused. The next ones are tracked from the last good pose and from poses around it,
@@ -148,6 +152,7 @@ pub enum OnFailure {
 
 /// How a measurement's weight follows its depth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum DepthWeight {
     /// All count alike.
@@ -161,6 +166,7 @@ pub enum DepthWeight {
 
 /// Point-to-plane ICP on a pyramid (Newcombe et al. 2011, *KinectFusion*, section 3.5; the report, section 3.1.1).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct IcpSettings {
     /// One letter a pyramid level, from coarse to fine: `r` estimates rotation, `t` translation, `b` both, `n` nothing.
@@ -196,6 +202,7 @@ impl Default for IcpSettings {
 
 /// Robust alignment of depth, and colour, from coarse to fine by Levenberg-Marquardt steps (the report, section 3.1.3).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct ExtendedSettings {
     /// One letter a pyramid level, from coarse to fine: `r` estimates rotation, `t` translation, `b` both, `n` nothing.
@@ -286,6 +293,7 @@ impl Default for ExtendedSettings {
 
 /// Alignment of surface points' colours with the live image by Levenberg-Marquardt steps (the report, section 3.1.2).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct RgbSettings {
     /// One letter a pyramid level, from coarse to fine: `r` estimates rotation, `t` translation, `b` both, `n` nothing.
@@ -317,6 +325,7 @@ impl Default for RgbSettings {
 
 /// What an inertial sensor's readings mean.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct ImuSettings {
     /// Levels of `imuicp`, as `tracker.icp.levels`.
@@ -342,6 +351,7 @@ impl Default for ImuSettings {
 
 /// Poses from files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct FileSettings {
     /// A mask with the frame's number (`poses/%06d.txt`), each file a 4x4 matrix from camera to world, or a trajectory in
@@ -351,6 +361,7 @@ pub struct FileSettings {
 
 /// Several trackers together.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct CompositeSettings {
     /// How they work together.
@@ -367,6 +378,7 @@ impl Default for CompositeSettings {
 
 /// How several trackers work together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum CompositePolicy {
     /// Each starts where the one before ended; the last one's verdict counts.
@@ -380,6 +392,7 @@ pub enum CompositePolicy {
 
 /// When a frame counts as tracked.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct VerdictSettings {
     /// Whether the classifier decides; without it every finite pose from enough pairs is good.
