@@ -59,6 +59,22 @@ impl Mesh {
         Err(GeometryError { expected: "triangles of its vertices", found })
     }
 
+    /// Gives each vertex the mean of its triangles' normals, weighted by their areas; zero where that says nothing, as for a
+    /// vertex of no triangle.
+    ///
+    /// # Panics
+    /// On a mesh that [`Mesh::check`] refuses.
+    pub fn compute_normals(&mut self) {
+        let mut sums = vec![Vec3::ZERO; self.positions.len()];
+        for triangle in &self.triangles {
+            let [a, b, c] = triangle.map(|v| self.positions[v as usize]);
+            // As long as twice the triangle's area.
+            let normal = (b - a).cross(c - a);
+            triangle.iter().for_each(|&v| sums[v as usize] += normal);
+        }
+        self.normals = sums.into_iter().map(Vec3::normalize_or_zero).collect();
+    }
+
     /// What lies within the axis-aligned box from `min` to `max` (world coordinates, metres, both ends included):
     /// triangles with all three vertices in it, and the vertices that these use, in their order. Triangles that cross the
     /// box's sides are left out whole. A box whose `min` is beyond its `max` holds nothing.
@@ -197,6 +213,22 @@ pub(crate) mod tests {
             used.dedup();
             prop_assert_eq!(used.len(), mesh.positions.len());
         }
+    }
+
+    #[test]
+    fn computed_normals_are_weighted_by_area() {
+        // A right angle along x, whose side in z = 0 is twice as large as the one in y = 0.
+        let mut mesh = Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, 2.0 * Vec3::Y, Vec3::Z, Vec3::ONE],
+            triangles: vec![[0, 1, 2], [0, 1, 3]],
+            ..Mesh::default()
+        };
+        mesh.compute_normals();
+        let shared = Vec3::new(0.0, -1.0, 2.0).normalize();
+        for (found, expected) in mesh.normals.iter().zip([shared, shared, Vec3::Z, Vec3::NEG_Y, Vec3::ZERO]) {
+            assert!(found.abs_diff_eq(expected, 1e-6), "{found} instead of {expected}");
+        }
+        mesh.check().unwrap();
     }
 
     #[test]

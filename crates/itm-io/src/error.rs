@@ -270,6 +270,33 @@ pub enum Error {
         reason: GeometryError,
     },
 
+    /// A file that does not begin as a PLY file does.
+    #[error("'{}' is not a PLY file: it does not begin with the line 'ply'", path.display())]
+    NotAPly {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A PLY file whose end is missing, as of a copy that was interrupted.
+    #[error("'{}' is cut off: it ends within {within}", path.display())]
+    PlyCutOff {
+        /// The file.
+        path: PathBuf,
+        /// What would have gone on.
+        within: String,
+    },
+    /// A PLY file that holds something else than it should.
+    #[error("'{}', {place}: expected {expected}, found {found}", path.display())]
+    PlyContent {
+        /// The file.
+        path: PathBuf,
+        /// Its header, or which vertex or face.
+        place: String,
+        /// What would do.
+        expected: String,
+        /// What it holds.
+        found: String,
+    },
+
     /// A file that does not begin as a map file does.
     #[error("'{}' is not a map file of itm", path.display())]
     NotAMap {

@@ -7,6 +7,7 @@ mod export;
 pub mod map_file;
 mod matrix;
 pub mod mesh;
+mod ply;
 pub mod points;
 pub mod recording;
 mod text;

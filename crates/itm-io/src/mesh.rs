@@ -1,4 +1,4 @@
-//! Meshes as files for other programs: PLY, OBJ, STL and GLB.
+//! Meshes as files for other programs: PLY, OBJ, STL and GLB. PLY is read, too.
 //!
 //! | format | holds besides positions and triangles |
 //! | --- | --- |
@@ -42,6 +42,19 @@ pub fn write(path: &Path, mesh: &Mesh, options: &MeshOptions) -> Result<(), Erro
     let up = if export::extension(path) == "glb" { UpAxis::YUp } else { options.up.unwrap_or_default() };
     mesh.check().map_err(|reason| Error::Geometry { path: path.to_path_buf(), reason })?;
     write_whole(path, |out| encode(out, mesh, up)).map_err(|e| Error::io("write", path, e))
+}
+
+/// Reads a mesh from a PLY file: text, or binary of either order of bytes, as [`write()`] or another program made it.
+///
+/// Positions and triangles, and normals, colours (where they have 8 bits), weights and confidences where the file has them.
+/// Polygons are split into fans of triangles. Normals that the file lacks are computed, see [`Mesh::compute_normals`]; normals
+/// of another length than one are normalised. What else stands in the file is passed over. The axes are the file's.
+///
+/// # Errors
+/// A file that cannot be read, is no PLY, ends too early, has no vertices, a position that is not finite or a face of a vertex
+/// that is not there.
+pub fn read(path: &Path) -> Result<Mesh, Error> {
+    crate::ply::read_mesh(path)
 }
 
 /// Whether the path's extension names a format, so that a name that cannot be meant is refused before a mesh is made.
@@ -265,7 +278,7 @@ fn too_large(limit: &str) -> io::Error {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::export::tests::{push_ply_vertex, read_ply_elements};
     use glam::Vec3;
@@ -385,7 +398,7 @@ mod tests {
         }
     }
 
-    fn meshes() -> impl Strategy<Value = Mesh> {
+    pub(crate) fn meshes() -> impl Strategy<Value = Mesh> {
         let vector = || prop::array::uniform3(-1e3..1e3f32).prop_map(Vec3::from);
         (1..20usize, any::<[bool; 4]>()).prop_flat_map(move |(vertices, [normals, colours, weights, confidences])| {
             let of = move |present: bool| if present { vertices } else { 0 };

@@ -31,6 +31,7 @@ mod submaps;
 mod tests;
 mod writer;
 
+use std::io::Read as _;
 use std::path::Path;
 
 use itm_core::voxel::VoxelKind;
@@ -66,6 +67,16 @@ pub mod tag {
 /// The format's version, major and minor. A reader refuses a later major one; a later minor one only adds sections and
 /// keys of the header, which are passed over.
 pub const VERSION: (u16, u16) = (1, 0);
+
+/// Whether a file, by its name or its first bytes, is a map.
+pub fn is_map_file(path: &Path) -> bool {
+    let begins_as_one = || {
+        let mut first = [0; MAGIC.len()];
+        std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut first)).is_ok() && first == MAGIC
+    };
+    let named = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("itm"));
+    path.is_file() && (named || begins_as_one())
+}
 
 /// Begins as PNG's does, so that a transfer as text, or one of seven bits, shows at once.
 const MAGIC: [u8; 8] = *b"\x89ITM\r\n\x1a\n";

@@ -26,12 +26,15 @@ use crate::Error;
 /// }
 /// # Ok::<(), itm_io::Error>(())
 /// ```
-#[derive(Debug)]
 pub struct ReadAhead {
     info: RecordingInfo,
     /// `None` once the thread has ended or is being ended.
     frames: Option<Receiver<Result<Frame, Error>>>,
-    thread: Option<JoinHandle<()>>,
+    /// Gives the recording back as it ends.
+    thread: Option<JoinHandle<Box<dyn Recording>>>,
+    /// The recording, once the thread has ended.
+    ended: Option<Box<dyn Recording>>,
+    ahead: usize,
 }
 
 impl ReadAhead {
@@ -42,13 +45,29 @@ impl ReadAhead {
     ///
     /// # Panics
     /// If the operating system cannot start a thread.
-    pub fn new<I>(mut recording: Box<dyn Recording>, frames: I, ahead: usize) -> Self
+    pub fn new<I>(recording: Box<dyn Recording>, frames: I, ahead: usize) -> Self
     where
         I: IntoIterator<Item = usize>,
         I::IntoIter: Send + 'static,
     {
         let info = recording.info().clone();
-        let (sender, receiver) = mpsc::sync_channel(ahead);
+        let mut reader = Self { info, frames: None, thread: None, ended: Some(recording), ahead };
+        reader.restart(frames);
+        reader
+    }
+
+    /// Goes on with other frames; those that were read ahead are forgotten. Waits for the one that is being read.
+    ///
+    /// # Panics
+    /// If the operating system cannot start a thread, and with a panic of a decoder.
+    pub fn restart<I>(&mut self, frames: I)
+    where
+        I: IntoIterator<Item = usize>,
+        I::IntoIter: Send + 'static,
+    {
+        self.end();
+        let mut recording = self.ended.take().expect("the thread gives it back");
+        let (sender, receiver) = mpsc::sync_channel(self.ahead);
         let frames = frames.into_iter();
         let decode = move || {
             for index in frames {
@@ -57,15 +76,33 @@ impl ReadAhead {
                     break;
                 }
             }
+            recording
         };
         let thread = thread::Builder::new().name("read-ahead".into()).spawn(decode);
-        let thread = thread.expect("the system starts a thread");
-        Self { info, frames: Some(receiver), thread: Some(thread) }
+        self.thread = Some(thread.expect("the system starts a thread"));
+        self.frames = Some(receiver);
+    }
+
+    fn end(&mut self) {
+        self.frames = None;
+        if let Some(thread) = self.thread.take() {
+            match thread.join() {
+                Ok(recording) => self.ended = Some(recording),
+                // A decoder's bug must not look like the end of the recording.
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        }
     }
 
     /// What is known of the recording.
     pub fn info(&self) -> &RecordingInfo {
         &self.info
+    }
+}
+
+impl std::fmt::Debug for ReadAhead {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ReadAhead").field("recording", &self.info.name).finish_non_exhaustive()
     }
 }
 
@@ -75,11 +112,7 @@ impl Iterator for ReadAhead {
     fn next(&mut self) -> Option<Self::Item> {
         let frame = self.frames.as_ref()?.recv().ok();
         if frame.is_none() {
-            self.frames = None;
-            if let Some(Err(panic)) = self.thread.take().map(JoinHandle::join) {
-                // A decoder's bug must not look like the end of the recording.
-                std::panic::resume_unwind(panic);
-            }
+            self.end();
         }
         frame
     }
@@ -90,7 +123,7 @@ impl Drop for ReadAhead {
         self.frames = None;
         if let Some(thread) = self.thread.take() {
             // The frames were abandoned, so that a panic while decoding one has nobody to reach.
-            let _: thread::Result<()> = thread.join();
+            let _: thread::Result<_> = thread.join();
         }
     }
 }
