@@ -1,9 +1,10 @@
 //! Turns the WGSL files into typed Rust: resolves imports and variants (WESL), validates (naga), reflects the bindings
 //! and host-shared structs (naga), and writes one Rust module a pass.
 //!
-//! A pass is a `.wgsl` file outside `shared/` with one compute entry point `main`. What this program insists on, so that
-//! the generated code stays simple: every host-shared struct is free of padding, so that its Rust twin is plain `Pod`;
-//! there is at most one uniform, named `params`; every other binding is a storage buffer.
+//! A pass is a `.wgsl` file outside `shared/` with one compute entry point `main`, or, where it rasterises, with the entry
+//! points `vertex` and `fragment`. What this program insists on, so that the generated code stays simple: every host-shared
+//! struct is free of padding, so that its Rust twin is plain `Pod`; there is at most one uniform, named `params`; every
+//! other binding is a storage buffer, which what rasterises only reads.
 
 #![expect(clippy::print_stderr, reason = "a build script is a program, and stderr is where cargo shows its errors")]
 
@@ -271,12 +272,18 @@ impl Variant {
         naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty())
             .validate(&module)
             .map_err(|e| explain(&|s| e.emit_to_string(s)))?;
-        let [entry] = module.entry_points.as_slice() else {
-            return Err(format!("{}: a pass has one entry point, not {}", place(), module.entry_points.len()));
+        let mut entries: Vec<_> = module.entry_points.iter().map(|entry| (entry.name.as_str(), entry.stage)).collect();
+        entries.sort_unstable_by_key(|(name, _)| *name);
+        let rasterises = match entries[..] {
+            [("main", naga::ShaderStage::Compute)] => false,
+            [("fragment", naga::ShaderStage::Fragment), ("vertex", naga::ShaderStage::Vertex)] => true,
+            _ => {
+                return Err(format!(
+                    "{}: the entry points must be a compute shader 'main', or shaders 'vertex' and 'fragment', not {entries:?}",
+                    place()
+                ));
+            }
         };
-        if entry.name != "main" || entry.stage != naga::ShaderStage::Compute {
-            return Err(format!("{}: the entry point must be a compute shader named 'main'", place()));
-        }
         let mut bindings = Vec::new();
         for (_, variable) in module.global_variables.iter() {
             let Some(at) = variable.binding else { continue };
@@ -287,6 +294,12 @@ impl Variant {
                 _ => return Err(format!("{}: '{mangled}' is neither a uniform nor a storage buffer", place())),
             };
             let name = short_name(&mangled);
+            if rasterises && !read_only {
+                return Err(format!(
+                    "{}: '{name}' is written, which not every device can where it rasterises",
+                    place()
+                ));
+            }
             if uniform.is_some() != (name == "params") {
                 return Err(format!("{}: '{name}': the uniform, and nothing else, is named 'params'", place()));
             }

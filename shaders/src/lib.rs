@@ -1,14 +1,14 @@
-//! The WGSL compute shaders of itm and the typed bindings generated from them at build time.
+//! The WGSL shaders of itm and the typed bindings generated from them at build time.
 //!
-//! A pass is one `.wgsl` file with one entry point `main`; files in `shared/` are imported by several (WESL imports,
-//! `import package::shared::camera::Camera;`). Some passes come in variants (`@if(colour)`). For each pass there is a
-//! module of the same name with a `Bindings` struct that has a field for each binding and, where the pass has a uniform,
-//! its `Params`. A binding that is renamed, added or left out does not compile on the host; a struct cannot differ from
-//! WGSL's, because it is made from it.
+//! A pass is one `.wgsl` file with one entry point `main` that computes, or two, `vertex` and `fragment`, that rasterise;
+//! files in `shared/` are imported by several (WESL imports, `import package::shared::camera::Camera;`). Some passes come in
+//! variants (`@if(colour)`). For each pass there is a module of the same name with a `Bindings` struct that has a field for
+//! each binding and, where the pass has a uniform, its `Params`. A binding that is renamed, added or left out does not
+//! compile on the host; a struct cannot differ from WGSL's, because it is made from it.
 
 #![allow(clippy::doc_markdown, reason = "doc comments of passes are their WGSL files' first lines")]
 
-/// One compute pass.
+/// One pass: of compute shaders, or of shaders that rasterise.
 #[derive(Debug)]
 pub struct Pass {
     /// Name of the WGSL file without its ending: `integrate`, `mesh/count`. The pass has this name everywhere.

@@ -5,15 +5,19 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use itm_shaders::{ALL, Pass, SlotKind, Variant};
+use naga::ShaderStage;
 use naga::back::{hlsl, msl, pipeline_constants::process_overrides, spv};
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 
-/// Calls `translate` with each variant, validated, once with its overrides' defaults.
-fn for_each_variant(translate: impl Fn(&naga::Module, &ModuleInfo) -> Result<(), String>) {
+/// Calls `translate` with each entry point of each variant, validated, once with its overrides' defaults.
+fn for_each_entry_point(translate: impl Fn(&naga::Module, &ModuleInfo, ShaderStage) -> Result<(), String>) {
     let mut failures = Vec::new();
     for pass in ALL {
         for variant in pass.variants {
-            if let Err(e) = resolve(variant).and_then(|(module, info)| translate(&module, &info)) {
+            let translated = resolve(variant).and_then(|entries| {
+                entries.iter().try_for_each(|(module, info, stage)| translate(module, info, *stage))
+            });
+            if let Err(e) = translated {
                 failures.push(format!("{}: {e}", name(pass, variant)));
             }
         }
@@ -25,21 +29,25 @@ fn name(pass: &Pass, variant: &Variant) -> String {
     format!("{} {:?}", pass.name, variant.features)
 }
 
-fn resolve(variant: &Variant) -> Result<(naga::Module, ModuleInfo), String> {
+/// A module for each entry point.
+fn resolve(variant: &Variant) -> Result<Vec<(naga::Module, ModuleInfo, ShaderStage)>, String> {
     let module = naga::front::wgsl::parse_str(variant.source).map_err(|e| e.emit_to_string(variant.source))?;
     // No capability beyond what every WebGPU adapter has.
     let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
         .validate(&module)
         .map_err(|e| e.emit_to_string(variant.source))?;
-    let entry = Some((naga::ShaderStage::Compute, "main"));
-    let (module, info) = process_overrides(&module, &info, entry, &naga::back::PipelineConstants::default())
-        .map_err(|e| e.to_string())?;
-    Ok((module.into_owned(), info.into_owned()))
+    let entries = module.entry_points.iter().map(|entry| {
+        let constants = naga::back::PipelineConstants::default();
+        let (module, info) = process_overrides(&module, &info, Some((entry.stage, &entry.name)), &constants)
+            .map_err(|e| e.to_string())?;
+        Ok((module.into_owned(), info.into_owned(), entry.stage))
+    });
+    entries.collect()
 }
 
 #[test]
 fn to_spirv_for_vulkan() {
-    for_each_variant(|module, info| {
+    for_each_entry_point(|module, info, _| {
         let options = spv::Options { lang_version: (1, 3), ..Default::default() };
         let words = spv::write_vec(module, info, &options, None).map_err(|e| e.to_string())?;
         if words.first() == Some(&0x0723_0203) { Ok(()) } else { Err("no SPIR-V".into()) }
@@ -48,7 +56,7 @@ fn to_spirv_for_vulkan() {
 
 #[test]
 fn to_msl_for_metal() {
-    for_each_variant(|module, info| {
+    for_each_entry_point(|module, info, stage| {
         // Metal 1.2 came with macOS 10.12, the oldest that Rust supports. Faked bindings stand in for the slots that a
         // pipeline layout would give.
         let options = msl::Options { lang_version: (1, 2), fake_missing_bindings: true, ..Default::default() };
@@ -57,13 +65,18 @@ fn to_msl_for_metal() {
         for name in info.entry_point_names {
             name.map_err(|e| e.to_string())?;
         }
-        if text.contains("kernel void") { Ok(()) } else { Err("no kernel".into()) }
+        let start = match stage {
+            ShaderStage::Vertex => "\nvertex ",
+            ShaderStage::Fragment => "\nfragment ",
+            _ => "kernel void",
+        };
+        if text.contains(start) { Ok(()) } else { Err(format!("no {start}")) }
     });
 }
 
 #[test]
 fn to_hlsl_for_direct3d_12() {
-    for_each_variant(|module, info| {
+    for_each_entry_point(|module, info, stage| {
         let options =
             hlsl::Options { shader_model: hlsl::ShaderModel::V6_0, fake_missing_bindings: true, ..Default::default() };
         let mut text = String::new();
@@ -73,7 +86,12 @@ fn to_hlsl_for_direct3d_12() {
         for name in written.entry_point_names {
             name.map_err(|e| e.to_string())?;
         }
-        if text.contains("[numthreads(") { Ok(()) } else { Err("no entry point".into()) }
+        let sign = match stage {
+            ShaderStage::Vertex => "SV_Position",
+            ShaderStage::Fragment => "SV_Target1",
+            _ => "[numthreads(",
+        };
+        if text.contains(sign) { Ok(()) } else { Err(format!("no {sign}")) }
     });
 }
 
@@ -135,4 +153,5 @@ fn passes_with_features_have_a_variant_for_each() {
     assert!(features("raycast").into_iter().map(<[_]>::to_vec).eq(raycast));
     assert_eq!(features("integrate").len(), 16);
     assert_eq!(features("mesh/vertices").len(), 8);
+    assert_eq!(features("mesh_view").len(), 1);
 }

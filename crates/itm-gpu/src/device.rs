@@ -1,6 +1,7 @@
 //! Adapters and the opened device.
 
-use std::sync::{Arc, Mutex};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 
 use itm_core::voxel::VoxelKind;
 
@@ -119,6 +120,11 @@ struct Shared {
     uniforms: Mutex<Vec<wgpu::Buffer>>,
     /// The first error that the driver reported outside of a call.
     error: Mutex<Option<(bool, String)>>,
+    /// Whether stages are waited for one by one.
+    paced: AtomicBool,
+    /// Whether nothing is submitted for the time being, and who waits for that to end.
+    held: Mutex<bool>,
+    released: Condvar,
 }
 
 fn instance() -> wgpu::Instance {
@@ -206,46 +212,53 @@ impl Device {
     /// # Errors
     /// Where there is none, none that fits, or the driver refuses.
     pub fn open(wanted: &str) -> Result<Self, Error> {
-        let adapters = sorted_adapters();
-        if adapters.is_empty() {
-            return Err(Error::NoAdapter { advice: ADVICE });
-        }
+        let adapter = Self::choose(sorted_adapters(), wanted)?;
+        let info = adapter.get_info();
+        let (device, queue) = pollster::block_on(adapter.request_device(&Self::descriptor(&adapter)))
+            .map_err(|source| Error::Open { adapter: info.name.clone(), source })?;
+        Self::from_wgpu(device, queue, &info)
+    }
+
+    /// The adapter that [`Device::open`] opens, among those that a host application has found.
+    ///
+    /// # Errors
+    /// As [`Device::open`], but for the driver's.
+    pub fn choose(mut adapters: Vec<wgpu::Adapter>, wanted: &str) -> Result<wgpu::Adapter, Error> {
+        adapters.sort_by_key(|adapter| kind_of(&adapter.get_info()));
         let wanted_lower = wanted.to_lowercase();
-        let chosen = if wanted_lower == "auto" {
-            adapters
-                .iter()
-                .find(|a| check_limits(&a.get_info().name, &a.limits()).is_ok())
-                // None fits: opening the first says why.
-                .or(adapters.first())
+        let place = if wanted_lower == "auto" {
+            let fits = |adapter: &wgpu::Adapter| check_limits(&adapter.get_info().name, &adapter.limits()).is_ok();
+            // None fits: taking the first says why.
+            adapters.iter().position(fits).or((!adapters.is_empty()).then_some(0))
         } else if let Ok(number) = wanted.parse::<usize>() {
-            adapters.get(number)
+            (number < adapters.len()).then_some(number)
         } else {
-            adapters.iter().find(|a| {
-                let info = a.get_info();
+            adapters.iter().position(|adapter| {
+                let info = adapter.get_info();
                 format!("{} {} {}", info.name, info.driver, info.driver_info).to_lowercase().contains(&wanted_lower)
             })
         };
-        let adapter = chosen.ok_or_else(|| Error::NoSuchAdapter {
-            wanted: wanted.into(),
-            found: adapters
-                .iter()
-                .enumerate()
-                .map(|(i, a)| format!("{i}: {}", a.get_info().name))
-                .collect::<Vec<_>>()
-                .join(", "),
-        })?;
-        let (info, limits) = (adapter.get_info(), adapter.limits());
-        check_limits(&info.name, &limits)?;
-        let features = adapter.features() & wgpu::Features::TIMESTAMP_QUERY;
-        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+        let Some(place) = place else {
+            if adapters.is_empty() {
+                return Err(Error::NoAdapter { advice: ADVICE });
+            }
+            let names = adapters.iter().enumerate().map(|(i, a)| format!("{i}: {}", a.get_info().name));
+            return Err(Error::NoSuchAdapter { wanted: wanted.into(), found: names.collect::<Vec<_>>().join(", ") });
+        };
+        let adapter = adapters.swap_remove(place);
+        check_limits(&adapter.get_info().name, &adapter.limits())?;
+        Ok(adapter)
+    }
+
+    /// What a device of an adapter is opened with, so that it can run the stages.
+    pub fn descriptor(adapter: &wgpu::Adapter) -> wgpu::DeviceDescriptor<'static> {
+        wgpu::DeviceDescriptor {
             label: Some("itm"),
-            required_features: features,
-            required_limits: limits,
+            required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+            required_limits: adapter.limits(),
             memory_hints: wgpu::MemoryHints::MemoryUsage,
             ..Default::default()
-        }))
-        .map_err(|source| Error::Open { adapter: info.name.clone(), source })?;
-        Self::from_wgpu(device, queue, &info)
+        }
     }
 
     /// Takes over a host application's own device and queue. `info` is its adapter's.
@@ -260,6 +273,11 @@ impl Device {
         let (on_error, on_loss) = (Arc::clone(&shared), Arc::clone(&shared));
         device.on_uncaptured_error(Arc::new(move |error| {
             let out_of_memory = matches!(error, wgpu::Error::OutOfMemory { .. });
+            if is_of_window(&error) {
+                // Nothing of the stages is lost, and the window tries again.
+                tracing::debug!(%error, "a surface was not configured");
+                return;
+            }
             on_error.report(out_of_memory, error.to_string());
         }));
         device.set_device_lost_callback(move |reason, message| {
@@ -280,6 +298,37 @@ impl Device {
     /// What the device can do.
     pub fn capabilities(&self) -> &Capabilities {
         &self.capabilities
+    }
+
+    /// Whether stages are submitted one by one, each once the one before has been done, so that what another thread
+    /// submits meanwhile waits for one stage at most and not for a frame: for a window that draws on a software driver, whose
+    /// one queue serves both. What is computed is the same.
+    pub fn set_paced(&self, paced: bool) {
+        self.shared.paced.store(paced, Ordering::Relaxed);
+    }
+
+    /// Whether nothing is submitted until further notice; other threads that would submit wait. Once this returns, all
+    /// that was submitted has been done. For a window whose surface is about to be configured: that fails while anything is
+    /// under way. An error of the device stays noted for the next check.
+    pub fn hold(&self, hold: bool) {
+        *self.shared.held.lock().unwrap_or_else(PoisonError::into_inner) = hold;
+        if hold {
+            let _noted = self.wait();
+        } else {
+            self.shared.released.notify_all();
+        }
+    }
+
+    /// Submits what was recorded, once nothing is held.
+    pub(crate) fn submit(&self, recorded: wgpu::CommandBuffer) {
+        let held = self.shared.held.lock().unwrap_or_else(PoisonError::into_inner);
+        // Submitting under the lock: who holds does not miss what was submitted just before.
+        let _held = self.shared.released.wait_while(held, |held| *held).unwrap_or_else(PoisonError::into_inner);
+        self.queue.submit([recorded]);
+    }
+
+    pub(crate) fn is_paced(&self) -> bool {
+        self.shared.paced.load(Ordering::Relaxed)
     }
 
     /// Waits until everything submitted has been done.
@@ -359,7 +408,7 @@ impl Device {
         let staging = self.staging("read back", bytes);
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         encoder.copy_buffer_to_buffer(buffer, offset, &staging, 0, bytes);
-        self.queue.submit([encoder.finish()]);
+        self.submit(encoder.finish());
         self.read_staging(&staging, bytes)
     }
 
@@ -378,6 +427,11 @@ impl Device {
     pub(crate) fn return_uniforms(&self, buffers: Vec<wgpu::Buffer>) {
         self.shared.uniforms.lock().unwrap_or_else(std::sync::PoisonError::into_inner).extend(buffers);
     }
+}
+
+/// Whether an error is of a host application's window, and not of a stage.
+fn is_of_window(error: &wgpu::Error) -> bool {
+    matches!(error, wgpu::Error::Validation { description, .. } if description.contains("In Surface::configure"))
 }
 
 impl Shared {

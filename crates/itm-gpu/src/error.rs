@@ -40,6 +40,16 @@ pub enum Error {
         #[source]
         source: wgpu::RequestDeviceError,
     },
+    /// A picture with no pixels, or too many along a side.
+    #[error("a picture of {width}x{height} pixels: expected sides of 1 to {longest}, the device's longest")]
+    CanvasSize {
+        /// Pixels across.
+        width: u32,
+        /// Pixels down.
+        height: u32,
+        /// What a side may have.
+        longest: u32,
+    },
     /// The device stopped answering.
     #[error("the graphics device was lost: {reason}")]
     DeviceLost {
@@ -113,6 +123,12 @@ pub enum Error {
         wanted: u64,
         /// Blocks that it can have.
         limit: u32,
+    },
+    /// A mesh to be shown whose parts do not fit together.
+    #[error("a mesh that cannot be shown: {reason}")]
+    Mesh {
+        /// Why.
+        reason: itm_core::GeometryError,
     },
     /// A mesh with more vertices or triangles than 32 bits can number.
     #[error("the mesh of {blocks} blocks has more than 2^32 vertices or triangles: raise min_weight")]

@@ -1,4 +1,4 @@
-//! The stages of itm as compute shaders on wgpu.
+//! The stages of itm as shaders on wgpu.
 //!
 //! State objects ([`View`], [`BlockMap`], [`RaycastImage`]) hold data; stages ([`view::ViewStage`],
 //! [`integrate::Integrate`] …) hold pipelines and record commands over state that they are given. Nothing here decides:
@@ -10,6 +10,7 @@
 pub mod absorb;
 pub mod allocate;
 pub mod associate;
+mod canvas;
 pub mod changed;
 pub mod confidence;
 mod device;
@@ -21,8 +22,10 @@ pub mod icp;
 pub mod integrate;
 mod map;
 pub mod mesh;
+pub mod mesh_view;
 pub mod normals;
 pub mod photometric;
+mod pipeline;
 pub mod query;
 pub mod ranges;
 pub mod raycast;
@@ -41,6 +44,7 @@ pub mod swap;
 pub mod view;
 pub mod visible;
 
+pub use canvas::Canvas;
 pub use device::{AdapterKind, AdapterReport, Capabilities, Device};
 pub use error::Error;
 pub use map::{BlockMap, FrameRecord, HostBlock, MapLayout, RecordReader};

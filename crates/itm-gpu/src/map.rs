@@ -412,6 +412,43 @@ impl BlockMap {
         max_depth_m: f32,
         margin_m: f32,
     ) -> Result<(), Error> {
+        let around = self.blocks_around(camera, world_from_camera, max_depth_m, margin_m);
+        self.lay_grid_over(around, world_from_camera, max_depth_m)
+    }
+
+    /// The same for a view of blocks that are all known to lie in a box, from its first to its last block: the grid covers no
+    /// more than that, so that a map can be seen from afar.
+    ///
+    /// # Errors
+    /// As [`BlockMap::lay_grid`].
+    pub fn lay_grid_within(
+        &mut self,
+        camera: &Intrinsics,
+        world_from_camera: &Se3,
+        max_depth_m: f32,
+        [first, last]: [IVec3; 2],
+    ) -> Result<(), Error> {
+        let [lower, upper] = self.blocks_around(camera, world_from_camera, max_depth_m, 0.0);
+        // Interpolation reaches into the blocks around.
+        let (lower, upper) = (lower.max((first - 1).as_dvec3()), upper.min((last + 1).as_dvec3()));
+        // Where nothing of the box is in view, a cell is left.
+        let lower = lower.min(last.as_dvec3());
+        self.lay_grid_over([lower, upper.max(lower)], world_from_camera, max_depth_m)
+    }
+
+    /// The first and the last block that the grid as it lies now covers.
+    pub fn grid_box(&self) -> [IVec3; 2] {
+        [self.grid_origin, self.grid_origin + self.grid_size.as_ivec3() - 1]
+    }
+
+    /// The first and the last block of the box around a view, which may be further away than blocks can be numbered.
+    fn blocks_around(
+        &self,
+        camera: &Intrinsics,
+        world_from_camera: &Se3,
+        max_depth_m: f32,
+        margin_m: f32,
+    ) -> [DVec3; 2] {
         let mut lower = world_from_camera.translation;
         let mut upper = lower;
         for corner in frustum_corners(camera, max_depth_m + margin_m) {
@@ -421,13 +458,22 @@ impl BlockMap {
         }
         let block = f64::from(self.layout.voxel_size_m) * f64::from(BLOCK_SIDE);
         let margin = DVec3::splat(f64::from(margin_m) + block);
-        let (first, last) = (((lower - margin) / block).floor(), ((upper + margin) / block).floor());
+        [((lower - margin) / block).floor(), ((upper + margin) / block).floor()]
+    }
+
+    fn lay_grid_over(
+        &mut self,
+        [first, last]: [DVec3; 2],
+        world_from_camera: &Se3,
+        max_depth_m: f32,
+    ) -> Result<(), Error> {
         let size = last - first + 1.0;
         self.check_cells(size.x * size.y * size.z, max_depth_m)?;
         // A block's position has 16 bits along each axis.
         let reach = f64::from(i16::MAX);
         if !(first.min_element() >= -reach && last.max_element() <= reach) {
             let position = world_from_camera.translation;
+            let block = f64::from(self.layout.voxel_size_m) * f64::from(BLOCK_SIDE);
             return Err(Error::OutOfReach {
                 position_m: position.to_array(),
                 reach_m: reach * block,

@@ -1,89 +1,15 @@
 //! Recording commands by name.
 
-use itm_shaders::{Bindings, Pass, SlotKind, Variant};
+use itm_shaders::Bindings;
 
+pub(crate) use crate::pipeline::Pipeline;
+use crate::pipeline::{Bound, RasterPipeline};
 use crate::{Device, Error};
 
 /// Bytes of one uniform buffer; a recorder takes more of them as it needs.
 pub(crate) const UNIFORM_BYTES: u64 = 64 << 10;
-/// Compute passes that one recorder times; later ones are not timed.
+/// Passes that one recorder times; later ones are not timed.
 const TIMED_PASSES: u32 = 64;
-
-/// A compiled variant of a pass.
-#[derive(Debug)]
-pub(crate) struct Pipeline {
-    pass: &'static Pass,
-    variant: &'static Variant,
-    pipeline: wgpu::ComputePipeline,
-    layouts: Vec<wgpu::BindGroupLayout>,
-}
-
-impl Pipeline {
-    /// Compiles the variant with exactly these features.
-    pub(crate) fn new(
-        device: &Device,
-        pass: &'static Pass,
-        features: &[&str],
-        constants: &[(&'static str, f64)],
-    ) -> Self {
-        let variant = pass
-            .variants
-            .iter()
-            .find(|v| v.features == features)
-            .expect("stages ask for variants that the shaders' build lists");
-        let module = device.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(pass.name),
-            source: wgpu::ShaderSource::Wgsl(variant.source.into()),
-        });
-        let groups = variant.bindings.iter().map(|s| s.group + 1).max().unwrap_or(0);
-        let layouts: Vec<_> = (0..groups)
-            .map(|group| {
-                let entries: Vec<_> = variant
-                    .bindings
-                    .iter()
-                    .filter(|s| s.group == group)
-                    .map(|slot| wgpu::BindGroupLayoutEntry {
-                        binding: slot.binding,
-                        visibility: wgpu::ShaderStages::COMPUTE,
-                        ty: wgpu::BindingType::Buffer {
-                            ty: match slot.kind {
-                                SlotKind::Uniform => wgpu::BufferBindingType::Uniform,
-                                SlotKind::ReadOnly => wgpu::BufferBindingType::Storage { read_only: true },
-                                SlotKind::ReadWrite => wgpu::BufferBindingType::Storage { read_only: false },
-                            },
-                            has_dynamic_offset: false,
-                            min_binding_size: None,
-                        },
-                        count: None,
-                    })
-                    .collect();
-                device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-                    label: Some(pass.name),
-                    entries: &entries,
-                })
-            })
-            .collect();
-        let layout = device.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(pass.name),
-            bind_group_layouts: &layouts.iter().map(Some).collect::<Vec<_>>(),
-            immediate_size: 0,
-        });
-        let pipeline = device.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(pass.name),
-            layout: Some(&layout),
-            module: &module,
-            entry_point: Some("main"),
-            compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
-            cache: None,
-        });
-        Self { pass, variant, pipeline, layouts }
-    }
-
-    /// Compiles a pass's only variant.
-    pub(crate) fn plain(device: &Device, pass: &'static Pass) -> Self {
-        Self::new(device, pass, &[], &[])
-    }
-}
 
 /// How many workgroups to dispatch.
 #[derive(Clone, Copy, Debug)]
@@ -133,6 +59,17 @@ struct Timer {
     stages: Vec<&'static str>,
 }
 
+impl Timer {
+    /// The queries at the beginning and the end of the next pass, where it is timed.
+    fn next(&mut self, stage: &'static str) -> Option<(&wgpu::QuerySet, u32, u32)> {
+        let next = self.stages.len() as u32;
+        (next < TIMED_PASSES).then(|| {
+            self.stages.push(stage);
+            (&self.queries, 2 * next, 2 * next + 1)
+        })
+    }
+}
+
 impl Recorder {
     /// A recorder whose stages are not timed.
     pub fn new(device: &Device) -> Self {
@@ -175,48 +112,15 @@ impl Recorder {
     pub fn stage(&mut self, name: &'static str) {
         if self.stage != name {
             self.pass = None;
+            if self.device.is_paced() && !self.stage.is_empty() {
+                self.flush();
+            }
             self.stage = name;
         }
     }
 
     pub(crate) fn dispatch<B: Bindings>(&mut self, pipeline: &Pipeline, bindings: &B, groups: Groups<'_>) {
-        debug_assert_eq!(B::PASS.name, pipeline.pass.name, "bindings and pipeline of different passes");
-        let uniform = bindings.uniform();
-        let uniform_at = (!uniform.is_empty()).then(|| self.push_uniform(uniform));
-        let bind_groups: Vec<_> = pipeline
-            .layouts
-            .iter()
-            .zip(0..)
-            .map(|(layout, group)| {
-                let entries: Vec<_> = pipeline
-                    .variant
-                    .bindings
-                    .iter()
-                    .filter(|slot| slot.group == group)
-                    .map(|slot| {
-                        let resource = if slot.kind == SlotKind::Uniform {
-                            let (buffer, offset) = uniform_at.expect("a pass with a uniform has its bytes");
-                            wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                                buffer: &self.uniforms[buffer],
-                                offset,
-                                size: wgpu::BufferSize::new(uniform.len() as u64),
-                            })
-                        } else {
-                            bindings
-                                .storage(group, slot.binding)
-                                .unwrap_or_else(|| panic!("{} needs '{}'", pipeline.pass.name, slot.name))
-                                .as_entire_binding()
-                        };
-                        wgpu::BindGroupEntry { binding: slot.binding, resource }
-                    })
-                    .collect();
-                self.device.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                    label: Some(pipeline.pass.name),
-                    layout,
-                    entries: &entries,
-                })
-            })
-            .collect();
+        let bind_groups = self.bind(&pipeline.bound, bindings);
         let pass = self.pass();
         pass.set_pipeline(&pipeline.pipeline);
         for (group, index) in bind_groups.iter().zip(0..) {
@@ -228,21 +132,79 @@ impl Recorder {
         }
     }
 
+    /// Rasterises lists of triangles, each the whole of an index buffer, onto targets that are cleared first: colours and
+    /// values to zero, and the depth buffer, in which larger is nearer, to the farthest.
+    pub(crate) fn rasterise<B: Bindings>(
+        &mut self,
+        pipeline: &RasterPipeline,
+        lists: &[(B, &wgpu::Buffer)],
+        targets: &[&wgpu::Texture],
+        depth_buffer: &wgpu::Texture,
+    ) {
+        let bind_groups: Vec<_> = lists.iter().map(|(bindings, _)| self.bind(&pipeline.bound, bindings)).collect();
+        self.pass = None;
+        let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let (targets, depth_buffer) = (targets.iter().map(|t| view(t)).collect::<Vec<_>>(), view(depth_buffer));
+        let clear =
+            wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store: wgpu::StoreOp::Store };
+        let attachments: Vec<_> = targets
+            .iter()
+            .map(|view| {
+                Some(wgpu::RenderPassColorAttachment { view, depth_slice: None, resolve_target: None, ops: clear })
+            })
+            .collect();
+        let nearness = wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Discard };
+        let timed = self.timer.as_mut().and_then(|timer| timer.next(self.stage));
+        let mut pass = self.encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some(self.stage),
+            color_attachments: &attachments,
+            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                view: &depth_buffer,
+                depth_ops: Some(nearness),
+                stencil_ops: None,
+            }),
+            timestamp_writes: timed.map(|(query_set, begin, end)| wgpu::RenderPassTimestampWrites {
+                query_set,
+                beginning_of_pass_write_index: Some(begin),
+                end_of_pass_write_index: Some(end),
+            }),
+            occlusion_query_set: None,
+            multiview_mask: None,
+        });
+        pass.set_pipeline(&pipeline.pipeline);
+        for (bind_groups, (_, indices)) in bind_groups.iter().zip(lists) {
+            for (group, index) in bind_groups.iter().zip(0..) {
+                pass.set_bind_group(index, group, &[]);
+            }
+            pass.set_index_buffer(indices.slice(..), wgpu::IndexFormat::Uint32);
+            pass.draw_indexed(0..(indices.size() / 4) as u32, 0, 0..1);
+        }
+    }
+
+    /// A pass's bind groups, with the uniform's bytes noted.
+    fn bind<B: Bindings>(&mut self, bound: &Bound, bindings: &B) -> Vec<wgpu::BindGroup> {
+        debug_assert_eq!(B::PASS.name, bound.pass.name, "bindings and pipeline of different passes");
+        let uniform = bindings.uniform();
+        let uniform_at = (!uniform.is_empty()).then(|| self.push_uniform(uniform));
+        let uniform = uniform_at.map(|(buffer, offset)| wgpu::BufferBinding {
+            buffer: &self.uniforms[buffer],
+            offset,
+            size: wgpu::BufferSize::new(uniform.len() as u64),
+        });
+        bound.groups(&self.device, bindings, uniform.as_ref())
+    }
+
     fn pass(&mut self) -> &mut wgpu::ComputePass<'static> {
         if self.pass.is_none() {
-            let mut writes = None;
-            if let Some(timer) = &mut self.timer {
-                let next = timer.stages.len() as u32;
-                if next < TIMED_PASSES {
-                    timer.stages.push(self.stage);
-                    writes = Some(wgpu::ComputePassTimestampWrites {
-                        query_set: &timer.queries,
-                        beginning_of_pass_write_index: Some(2 * next),
-                        end_of_pass_write_index: Some(2 * next + 1),
-                    });
-                }
-            }
-            let descriptor = wgpu::ComputePassDescriptor { label: Some(self.stage), timestamp_writes: writes };
+            let timed = self.timer.as_mut().and_then(|timer| timer.next(self.stage));
+            let descriptor = wgpu::ComputePassDescriptor {
+                label: Some(self.stage),
+                timestamp_writes: timed.map(|(query_set, begin, end)| wgpu::ComputePassTimestampWrites {
+                    query_set,
+                    beginning_of_pass_write_index: Some(begin),
+                    end_of_pass_write_index: Some(end),
+                }),
+            };
             self.pass = Some(self.encoder.begin_compute_pass(&descriptor).forget_lifetime());
         }
         self.pass.as_mut().expect("just begun")
@@ -282,6 +244,22 @@ impl Recorder {
         self.encoder.copy_buffer_to_buffer(from, 0, to, 0, bytes);
     }
 
+    /// Copies a picture, whose rows are `pitch` words apart, to a texture.
+    pub(crate) fn copy_to_texture(&mut self, from: &wgpu::Buffer, pitch: u32, to: &wgpu::Texture) {
+        self.pass = None;
+        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(pitch * 4), rows_per_image: None };
+        let source = wgpu::TexelCopyBufferInfo { buffer: from, layout };
+        self.encoder.copy_buffer_to_texture(source, to.as_image_copy(), to.size());
+    }
+
+    /// Copies a texture of a word a pixel to a buffer whose rows are `pitch` words apart.
+    pub(crate) fn copy_from_texture(&mut self, from: &wgpu::Texture, to: &wgpu::Buffer, pitch: u32) {
+        self.pass = None;
+        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(pitch * 4), rows_per_image: None };
+        let target = wgpu::TexelCopyBufferInfo { buffer: to, layout };
+        self.encoder.copy_texture_to_buffer(from.as_image_copy(), target, from.size());
+    }
+
     /// Hands everything recorded to the device and returns at once. The result reads the stages' times later.
     pub fn submit(mut self) -> StageTimes {
         self.pass = None;
@@ -292,14 +270,26 @@ impl Recorder {
                 self.encoder.copy_buffer_to_buffer(&timer.resolved, 0, &timer.staging, 0, u64::from(count) * 8);
             }
         }
+        self.flush();
+        StageTimes { timer: self.timer }
+    }
+
+    /// Hands over what was recorded so far, and, where the device is paced, waits until it has been done.
+    fn flush(&mut self) {
         for (buffer, bytes) in self.uniforms.iter().zip(self.uniform_bytes.chunks(UNIFORM_BYTES as usize)) {
             // Queue writes happen after what was submitted before and before what is submitted next, so the buffer may
             // still be in use by an earlier recording.
             self.device.queue.write_buffer(buffer, 0, bytes);
         }
-        self.device.queue.submit([self.encoder.finish()]);
-        self.device.return_uniforms(self.uniforms);
-        StageTimes { timer: self.timer }
+        let empty = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let recorded = std::mem::replace(&mut self.encoder, empty);
+        self.device.submit(recorded.finish());
+        self.device.return_uniforms(std::mem::take(&mut self.uniforms));
+        self.uniform_bytes.clear();
+        if self.device.is_paced() {
+            // An error stays noted, and is found where the caller next waits.
+            let _noted = self.device.wait();
+        }
     }
 }
 

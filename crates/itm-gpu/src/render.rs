@@ -3,12 +3,12 @@
 use std::sync::OnceLock;
 
 use glam::DVec3;
-use itm_core::{ColourImage, Intrinsics, Se3};
+use itm_core::{ColourImage, Se3};
 use itm_shaders::render;
 
 use crate::raycast::page_features;
 use crate::recorder::{Groups, Pipeline};
-use crate::{BlockMap, Device, Error, RaycastImage, Recorder, SurfelView};
+use crate::{BlockMap, Canvas, Device, Error, RaycastImage, Recorder, SurfelView};
 
 /// What a picture of the map shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,17 +45,39 @@ impl Default for Scale {
 }
 
 impl Shading {
-    /// As `render/shade.wgsl` numbers it, with the scale's ends.
-    fn kind_and_range(self, scale: &Scale) -> (u32, [f32; 2]) {
+    /// As `shared/shading.wgsl` numbers it, with the scale's ends.
+    pub(crate) fn kind_and_range(self, scale: &Scale) -> (u32, [f32; 2]) {
         match self {
-            // Colours do not come from that pass.
-            Self::Grey | Self::Colour => (0, [0.0, 1.0]),
+            Self::Grey => (0, [0.0, 1.0]),
             Self::Normals => (1, [0.0, 1.0]),
             Self::Depth => (2, scale.depth_m),
             Self::Confidence => (3, [0.0, scale.confidence]),
             Self::Phong => (4, [0.0, 1.0]),
+            Self::Colour => (5, [0.0, 1.0]),
         }
     }
+}
+
+/// A raycast image and what it shows.
+#[derive(Clone, Copy, Debug)]
+pub struct Seen<'a> {
+    /// The image, with normals, and confidences where those are to be seen.
+    pub image: &'a RaycastImage,
+    /// The pose that it was cast from.
+    pub map_from_camera: &'a Se3,
+    /// Where the map's frame lies in the world's, for normals; of a whole map the identity.
+    pub world_from_map: &'a Se3,
+    /// What it is of.
+    pub of: Of<'a>,
+}
+
+/// What kind of map an image is of.
+#[derive(Clone, Copy, Debug)]
+pub enum Of<'a> {
+    /// Voxels: the map, with the grid of the view.
+    Voxels(&'a BlockMap),
+    /// Surfels: the pixels that they were drawn into; see [`crate::splat`].
+    Surfels(&'a SurfelView),
 }
 
 /// The stage's pipelines.
@@ -64,6 +86,7 @@ pub struct Render {
     device: Device,
     shade: Pipeline,
     colour: [OnceLock<Pipeline>; 4],
+    compose: OnceLock<Pipeline>,
 }
 
 impl Render {
@@ -73,55 +96,68 @@ impl Render {
             device: device.clone(),
             shade: Pipeline::plain(device, &render::shade::PASS),
             colour: Default::default(),
+            compose: OnceLock::new(),
         }
     }
 
-    /// The same for an image of surfels; see [`crate::splat`].
+    /// Paints an image; pixels that show nothing have alpha 0. Waits.
     ///
     /// # Errors
     /// Where the device was lost.
-    pub fn run_surfels(
-        &self,
-        pixels: &SurfelView,
-        image: &RaycastImage,
-        world_from_camera: &Se3,
-        shading: Shading,
-        scale: &Scale,
-    ) -> Result<ColourImage, Error> {
-        if shading != Shading::Colour {
-            return self.shade(image, world_from_camera, shading, scale);
-        }
-        pixels.read_colours(&self.device)
-    }
-
-    /// Paints an image that was cast from a pose, with normals, and confidences where those are to be seen; pixels that show
-    /// nothing have alpha 0. Waits.
-    ///
-    /// # Errors
-    /// Where the device was lost.
-    pub fn run(
-        &self,
-        map: &BlockMap,
-        image: &RaycastImage,
-        world_from_camera: &Se3,
-        shading: Shading,
-        scale: &Scale,
-    ) -> Result<ColourImage, Error> {
-        if shading != Shading::Colour {
-            return self.shade(image, world_from_camera, shading, scale);
-        }
-        let camera = image.camera();
-        let pixels = camera.pixels() as u64;
-        let size = [camera.width, camera.height];
-        let painted = self.device.storage("picture", pixels * 4);
+    pub fn run(&self, seen: &Seen<'_>, shading: Shading, scale: &Scale) -> Result<ColourImage, Error> {
+        let camera = seen.image.camera();
         let mut recorder = Recorder::new(&self.device);
+        let painted = self.record(&mut recorder, seen, shading, scale);
+        let _untimed = recorder.submit();
+        let values = self.device.read(&painted, 0, camera.pixels() as u64 * 4)?;
+        Ok(ColourImage::new(camera.width, camera.height, values).expect("as many values as pixels"))
+    }
+
+    /// Records that an image is painted onto a canvas of its size, where it is nearer than what was painted there since the
+    /// canvas was cleared.
+    ///
+    /// # Panics
+    /// If the canvas has another size.
+    pub fn paint(&self, recorder: &mut Recorder, seen: &Seen<'_>, shading: Shading, scale: &Scale, canvas: &Canvas) {
+        let camera = seen.image.camera();
+        let size = [camera.width, camera.height];
+        assert_eq!(size, <[u32; 2]>::from(canvas.size()), "a canvas for another camera");
+        let picture = self.record(recorder, seen, shading, scale);
+        let pipeline = self.compose.get_or_init(|| Pipeline::plain(&self.device, &render::compose::PASS));
+        let [centre, forward] = centre_and_axis(seen.map_from_camera);
+        let bindings = render::compose::Bindings {
+            params: render::compose::Params { size, pitch: canvas.pitch(), unused: 0, camera: centre, forward },
+            points: &seen.image.points,
+            picture: &picture,
+            depths: &canvas.depths,
+            canvas: &canvas.painted,
+        };
+        recorder.dispatch(pipeline, &bindings, Groups::linear(camera.pixels() as u64, 64));
+    }
+
+    /// Records the painting of an image, and returns where it lies: row by row, without gaps.
+    fn record(&self, recorder: &mut Recorder, seen: &Seen<'_>, shading: Shading, scale: &Scale) -> wgpu::Buffer {
         recorder.stage("render");
+        match (shading, seen.of) {
+            (Shading::Colour, Of::Voxels(map)) => self.colours(recorder, seen.image, map),
+            (Shading::Colour, Of::Surfels(pixels)) => pixels.colours.clone(),
+            _ => self.shade(recorder, seen, shading, scale),
+        }
+    }
+
+    fn colours(&self, recorder: &mut Recorder, image: &RaycastImage, map: &BlockMap) -> wgpu::Buffer {
+        let camera = image.camera();
+        let painted = self.device.storage("picture", camera.pixels() as u64 * 4);
         if let Some(plane0) = map.colours().first() {
             let pages = map.colours().len();
             let pipeline = self.colour[pages - 1]
                 .get_or_init(|| Pipeline::new(&self.device, &render::colour::PASS, page_features(pages), &[]));
             let bindings = render::colour::Bindings {
-                params: render::colour::Params { map: map.params(), size, unused: [0; 2] },
+                params: render::colour::Params {
+                    map: map.params(),
+                    size: [camera.width, camera.height],
+                    unused: [0; 2],
+                },
                 points: &image.points,
                 image: &painted,
                 plane0,
@@ -130,51 +166,45 @@ impl Render {
                 plane3: map.colours().get(3),
                 grid: &map.grid,
             };
-            recorder.dispatch(pipeline, &bindings, Groups::linear(pixels, 64));
+            recorder.dispatch(pipeline, &bindings, Groups::linear(camera.pixels() as u64, 64));
         }
-        self.read_picture(recorder, camera, &painted)
+        painted
     }
 
-    /// Paints an image by its points and normals.
-    fn shade(
-        &self,
-        image: &RaycastImage,
-        world_from_camera: &Se3,
-        shading: Shading,
-        scale: &Scale,
-    ) -> Result<ColourImage, Error> {
-        let camera = image.camera();
+    /// By its points and normals.
+    fn shade(&self, recorder: &mut Recorder, seen: &Seen<'_>, shading: Shading, scale: &Scale) -> wgpu::Buffer {
+        let camera = seen.image.camera();
         let pixels = camera.pixels() as u64;
         let painted = self.device.storage("picture", pixels * 4);
-        let mut recorder = Recorder::new(&self.device);
-        recorder.stage("render");
         let (kind, range) = shading.kind_and_range(scale);
+        let [centre, forward] = centre_and_axis(seen.map_from_camera);
+        let turn = seen.world_from_map.rotation;
+        // The rows are what the inverse turns the axes to.
+        let row = |axis: DVec3| (turn.inverse() * axis).as_vec3().extend(0.0).to_array();
         let bindings = render::shade::Bindings {
             params: render::shade::Params {
                 size: [camera.width, camera.height],
                 kind,
                 unused_a: 0,
-                camera: world_from_camera.translation.as_vec3().extend(1.0).to_array(),
-                forward: (world_from_camera.rotation * DVec3::Z).as_vec3().extend(0.0).to_array(),
+                camera: centre,
+                forward,
                 range,
                 unused_b: [0; 2],
+                turn_x: row(DVec3::X),
+                turn_y: row(DVec3::Y),
+                turn_z: row(DVec3::Z),
             },
-            points: &image.points,
-            normals: &image.normals,
+            points: &seen.image.points,
+            normals: &seen.image.normals,
             image: &painted,
         };
         recorder.dispatch(&self.shade, &bindings, Groups::linear(pixels, 64));
-        self.read_picture(recorder, camera, &painted)
+        painted
     }
+}
 
-    fn read_picture(
-        &self,
-        recorder: Recorder,
-        camera: &Intrinsics,
-        painted: &wgpu::Buffer,
-    ) -> Result<ColourImage, Error> {
-        let _untimed = recorder.submit();
-        let values = self.device.read(painted, 0, camera.pixels() as u64 * 4)?;
-        Ok(ColourImage::new(camera.width, camera.height, values).expect("as many values as pixels"))
-    }
+/// A camera's centre, and the unit vector along its optical axis.
+fn centre_and_axis(map_from_camera: &Se3) -> [[f32; 4]; 2] {
+    let forward = map_from_camera.rotation * DVec3::Z;
+    [map_from_camera.translation.as_vec3().extend(1.0).to_array(), forward.as_vec3().extend(0.0).to_array()]
 }

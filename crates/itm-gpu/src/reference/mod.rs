@@ -15,6 +15,7 @@ pub mod icp;
 pub mod integrate;
 mod map;
 pub mod mesh;
+pub mod mesh_view;
 pub mod normals;
 pub mod photometric;
 pub mod query;
