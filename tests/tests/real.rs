@@ -15,7 +15,8 @@ fn track(name: &str, frames: usize, limit_m: f64) {
     let truth = recording.info().ground_truth.clone().expect("ground truth");
     let mut run = run(&device, recording, &Settings::default(), Poses::Tracked);
     assert_eq!((run.summary.posed, run.summary.lost, run.summary.skipped), (frames, 0, 0));
-    let evaluation = evaluate(run.session.slam().trajectory(), &truth, DEFAULT_TOLERANCE_NS).expect("an evaluation");
+    let evaluation =
+        evaluate(run.session.slam_mut().trajectory(), &truth, DEFAULT_TOLERANCE_NS).expect("an evaluation");
     println!("{name}: {frames} frames\n{evaluation}");
     assert!(evaluation.ate.rmse <= limit_m, "{name}: ATE {:.1} mm", evaluation.ate.rmse * 1e3);
 }

@@ -17,7 +17,7 @@ fn small() -> Settings {
 }
 
 fn ate_m(run: &mut Run, truth: &Sequence) -> f64 {
-    let evaluation = evaluate(run.session.slam().trajectory(), &truth.trajectory(), DEFAULT_TOLERANCE_NS);
+    let evaluation = evaluate(run.session.slam_mut().trajectory(), &truth.trajectory(), DEFAULT_TOLERANCE_NS);
     evaluation.expect("poses to compare").ate.rmse
 }
 
@@ -75,7 +75,7 @@ fn two_runs_give_the_same_bytes() {
         .map(|_| {
             let mut run = run(&device, Box::new(InMemory::new(sequence.clone())), &small(), Poses::Tracked);
             let mesh = run.session.mesh(&mut |_, _| ()).expect("a mesh");
-            (run.session.slam().trajectory().poses().to_vec(), mesh)
+            (run.session.slam_mut().trajectory().poses().to_vec(), mesh)
         })
         .collect();
     assert!(results[0] == results[1], "two runs differ");

@@ -56,7 +56,7 @@ pub struct SubmapLink {
 /// All submaps.
 #[derive(Debug)]
 pub(crate) struct Atlas {
-    settings: SubmapSettings,
+    pub(crate) settings: SubmapSettings,
     pub(crate) submaps: Vec<Submap>,
     /// By their submaps, the lower number first, and whether the camera came back to get them.
     links: BTreeMap<(u16, u16, bool), Link>,

@@ -25,6 +25,7 @@
 mod atlas;
 mod camera_loop;
 mod caster;
+mod changing;
 mod chunked_mesh;
 mod chunks;
 mod combined;
@@ -36,6 +37,7 @@ mod link;
 mod live;
 mod local;
 mod mapper;
+mod painting;
 mod places;
 mod robot;
 mod saved;
@@ -59,6 +61,7 @@ pub use error::Error;
 pub use frame_result::{FrameReport, FrameResult, FrameStatus, Notice};
 pub use happening::{Happening, Optimised};
 pub use itm_io::map_file::SubmapState;
+pub use painting::Look;
 pub use saved::SavedMap;
 pub use saving::{SavedSession, count_surfels, settings_of};
 pub use session::{Event, Session, SessionOptions, Start, Summary};
@@ -71,6 +74,7 @@ pub use warning::Warning;
 pub use itm_core::*;
 pub use itm_gpu::render::{Scale, Shading};
 pub use itm_gpu::{
-    AdapterKind, AdapterReport, Capabilities, Device, Error as DeviceError, FrameRecord, MapLayout, SurfelRecord,
+    AdapterKind, AdapterReport, Canvas, Capabilities, Device, Error as DeviceError, FrameRecord, MapLayout,
+    SurfelRecord,
 };
 pub use itm_reloc::{AveragePose, Keyframe};

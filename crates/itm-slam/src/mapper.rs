@@ -70,6 +70,8 @@ pub(crate) struct Mapper {
     gather: Gather,
     /// Where blocks remember what changed them.
     changed: Option<Changed>,
+    /// Boxes that each submap's blocks all lie in, by their first and last ones; `None` where that is to be found out.
+    extents: Option<BTreeMap<u16, [IVec3; 2]>>,
 }
 
 /// A submap as tracking sees it.
@@ -276,7 +278,19 @@ impl Mapper {
             hash: Hash::new(device),
             gather: Gather::new(device),
             changed: settings.map.track_changes.then(|| Changed::new(device)),
+            extents: (!dense).then(BTreeMap::new),
         })
+    }
+
+    /// Takes over what is read for each frame; buffers stay as they are.
+    pub(crate) fn change_settings(&mut self, settings: &Settings) {
+        if let Some(swapped) = &mut self.swapped {
+            swapped.max_weight = largest_weight(settings);
+        }
+        if let Some(surfels) = &mut self.surfels {
+            surfels.settings = settings.clone();
+        }
+        self.settings = settings.clone();
     }
 
     /// What the next frames depend on beside the map and the host's store; reads what is on its way.
@@ -360,6 +374,7 @@ impl Mapper {
     /// Replaces the map by one that was read back, without its voxels.
     pub(crate) fn restore(&mut self, state: &MapState) -> Result<(), Error> {
         self.map = BlockMap::from_state(&self.device, *self.map.layout(), state)?;
+        self.extents = None;
         if self.settings.map.index == MapIndex::Dense {
             self.limit = self.map.capacity();
         }
@@ -497,6 +512,9 @@ impl Mapper {
         let swapping = self.swaps();
         let margin_m = if swapping { truncation_m.max(self.settings.map.swap_margin_m) } else { truncation_m };
         self.map.lay_grid(&camera, world_from_camera, far_m, margin_m)?;
+        if let Some(extents) = &mut self.extents {
+            widen(extents, *submap, self.map.grid_box());
+        }
         let (near, far) = (f32::max(near_m - truncation_m, 0.0), far_m + truncation_m);
         let viewed = Viewed { camera: &camera, world_from_camera, depth_range_m: [near, far] };
         let dense = self.settings.map.index == MapIndex::Dense;
@@ -763,20 +781,51 @@ impl Mapper {
         }
     }
 
-    /// Casts the map as a camera sees it from a pose, up to a depth. The next frame's fusion is not affected.
+    /// Casts a submap as a camera sees it from a pose (its frame), up to a depth. The next frame's fusion is not affected.
     pub(crate) fn cast(
         &mut self,
-        camera: &Intrinsics,
-        world_from_camera: &Se3,
+        image: &RaycastImage,
+        submap: u16,
+        submap_from_camera: &Se3,
         max_depth_m: f32,
-    ) -> Result<RaycastImage, Error> {
-        let image = RaycastImage::new(&self.device, *camera)?;
-        self.map.look_at(0);
-        self.map.lay_grid(camera, world_from_camera, max_depth_m, 0.0)?;
+    ) -> Result<(), Error> {
+        let extent = self.extent(submap)?;
+        self.map.look_at(submap);
+        self.map.lay_grid_within(image.camera(), submap_from_camera, max_depth_m, extent)?;
         let mut recorder = Recorder::new(&self.device);
-        self.caster.look(&mut recorder, &self.map, &image, world_from_camera, max_depth_m);
+        self.caster.look(&mut recorder, &self.map, image, submap_from_camera, max_depth_m);
         let _untimed = recorder.submit();
-        Ok(image)
+        Ok(())
+    }
+
+    /// A box that all blocks of a submap on the device lie in. Waits where it is not known.
+    fn extent(&mut self, submap: u16) -> Result<[IVec3; 2], Error> {
+        let extents = match &mut self.extents {
+            Some(extents) => extents,
+            None => {
+                let mut extents = BTreeMap::new();
+                for key in self.map.read_keys()?.into_iter().flatten() {
+                    widen(&mut extents, key.submap, [key.position; 2]);
+                }
+                self.extents.insert(extents)
+            }
+        };
+        Ok(extents.get(&submap).copied().unwrap_or([IVec3::ZERO; 2]))
+    }
+
+    /// Lays the grid around a view of a submap that has been cast, for what looks blocks up for its points.
+    pub(crate) fn lay_around(
+        &mut self,
+        recorder: &mut Recorder,
+        camera: &Intrinsics,
+        submap: u16,
+        submap_from_camera: &Se3,
+    ) -> Result<(), Error> {
+        let max_depth_m = self.settings.view.max_depth_m + self.settings.map.truncation_m;
+        self.map.look_at(submap);
+        self.map.lay_grid(camera, submap_from_camera, max_depth_m, 0.0)?;
+        self.caster.allocate.fill_grid(recorder, &self.map);
+        Ok(())
     }
 
     /// Casts the map for tracking that goes on from a pose that follows from none before. Stored blocks come back for it; waits
@@ -801,6 +850,10 @@ impl Mapper {
         let max_depth_m = self.settings.view.max_depth_m + self.settings.map.truncation_m;
         self.map.look_at(submap);
         self.map.lay_grid(&camera, world_from_camera, max_depth_m, self.settings.map.swap_margin_m)?;
+        if let Some(extents) = &mut self.extents {
+            // Stored blocks may come.
+            widen(extents, submap, self.map.grid_box());
+        }
         self.fetch(&Viewed { camera: &camera, world_from_camera, depth_range_m: [0.0, max_depth_m] })?;
         self.map.lay_grid(&camera, world_from_camera, max_depth_m, 0.0)?;
         let mut recorder = Recorder::new(&self.device);
@@ -851,6 +904,7 @@ impl Mapper {
             let inserted = self.map.insert_empty(&blocks_of_box(submap, &self.settings.map.dense));
             self.may_begin = inserted.is_ok();
             inserted?;
+            self.extents = None;
             self.limit = self.map.capacity();
         } else {
             self.beginning = true;
@@ -912,6 +966,12 @@ impl Mapper {
 }
 
 /// The keys of all blocks of a dense submap, x fastest.
+/// Takes a box into a submap's.
+fn widen(extents: &mut BTreeMap<u16, [IVec3; 2]>, submap: u16, [first, last]: [IVec3; 2]) {
+    let extent = extents.entry(submap).or_insert([first, last]);
+    *extent = [extent[0].min(first), extent[1].max(last)];
+}
+
 fn blocks_of_box(submap: u16, dense: &DenseSettings) -> Vec<BlockKey> {
     let ([w, h, d], offset) = dense.blocks();
     let first = IVec3::from_array(offset);

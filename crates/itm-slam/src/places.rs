@@ -108,6 +108,14 @@ impl Places {
         }))
     }
 
+    /// Takes over how places are looked for. How keyframes are chosen and coded, and the images that the map is cast into, stay.
+    pub(crate) fn change_settings(&mut self, settings: &Settings) {
+        let finest = trial_level(&self.camera, settings.relocaliser.trial_width);
+        self.trial.tracker.change_settings(&trial_settings(settings, finest));
+        self.glance.tracker.change_settings(&glance_settings(settings));
+        self.settings = settings.relocaliser.clone();
+    }
+
     /// What trials need of a view.
     pub(crate) fn needs(&self) -> Needs {
         Needs::of(&self.trial.tracker)

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use itm_core::{Mesh, Se3, Settings, SettingsError, Timestamp, TrackerKind, TrackerSettings};
+use itm_core::{Frame, Mesh, Se3, Settings, SettingsError, Timestamp, TrackerKind, TrackerSettings};
 use itm_io::recording::{ReadAhead, Recording, RecordingInfo};
 use itm_io::trajectory::PoseFiles;
 
@@ -95,8 +95,11 @@ pub struct Session {
     slam: Slam,
     info: RecordingInfo,
     frames: ReadAhead,
-    first: usize,
-    taken: usize,
+    range: Range<usize>,
+    /// The frame that comes next.
+    next: usize,
+    /// The last frame that was processed.
+    frame: Option<Frame>,
     summary: Summary,
     started: Option<Instant>,
     finished: bool,
@@ -105,10 +108,7 @@ pub struct Session {
 
 impl std::fmt::Debug for Session {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Session")
-            .field("recording", &self.info.name)
-            .field("taken", &self.taken)
-            .finish_non_exhaustive()
+        f.debug_struct("Session").field("recording", &self.info.name).field("next", &self.next).finish_non_exhaustive()
     }
 }
 
@@ -143,9 +143,10 @@ impl Session {
         Ok(Self {
             slam,
             info,
-            first: range.start,
-            frames: ReadAhead::new(recording, range, ReadAhead::DEFAULT_FRAMES),
-            taken: 0,
+            frames: ReadAhead::new(recording, range.clone(), ReadAhead::DEFAULT_FRAMES),
+            next: range.start,
+            range,
+            frame: None,
             summary,
             started: None,
             finished: false,
@@ -199,9 +200,45 @@ impl Session {
         &self.info
     }
 
-    /// The core, for meshes, pictures and the trajectory.
-    pub fn slam(&mut self) -> &mut Slam {
+    /// The core, for the trajectory and what is known of the map.
+    pub fn slam(&self) -> &Slam {
+        &self.slam
+    }
+
+    /// The core, for meshes and pictures too.
+    pub fn slam_mut(&mut self) -> &mut Slam {
         &mut self.slam
+    }
+
+    /// The last frame that was processed.
+    pub fn frame(&self) -> Option<&Frame> {
+        self.frame.as_ref()
+    }
+
+    /// The frames that the run is over, by their places in the recording, and the one that comes next.
+    pub fn place(&self) -> (Range<usize>, usize) {
+        (self.range.clone(), self.next)
+    }
+
+    /// Goes on with another frame of the run, forwards or back: the map stays, and the camera is looked for from where it was
+    /// last. What was finished is so no longer.
+    ///
+    /// # Errors
+    /// Where the frame is not one of the run's.
+    pub fn seek(&mut self, frame: usize) -> Result<(), Error> {
+        if !self.range.contains(&frame) {
+            return Err(Error::NoSuchFrames {
+                recording: self.info.name.clone(),
+                first: frame,
+                last: frame,
+                frames: self.range.end,
+            });
+        }
+        self.frames.restart(frame..self.range.end);
+        self.next = frame;
+        self.finished = false;
+        self.slam.interrupt();
+        Ok(())
     }
 
     /// A switch that ends the run after the current frame when set, from any thread.
@@ -219,7 +256,8 @@ impl Session {
 
     fn finish(&mut self, error: Option<String>) -> Event {
         self.finished = true;
-        let mut summary = std::mem::take(&mut self.summary);
+        // Kept: where another frame is gone on with, the run goes on.
+        let mut summary = self.summary.clone();
         summary.seconds = self.started.map_or(0.0, |s| s.elapsed().as_secs_f64());
         summary.error = error;
         match self.slam.finish() {
@@ -340,8 +378,8 @@ impl Iterator for Session {
             return Some(self.finish(None));
         }
         let Some(frame) = self.frames.next() else { return Some(self.finish(None)) };
-        let index = self.first + self.taken;
-        self.taken += 1;
+        let index = self.next;
+        self.next += 1;
         let skipped = |summary: &mut Summary, reason: String| {
             summary.skipped += 1;
             Some(Event::Skipped { index, reason })
@@ -352,7 +390,9 @@ impl Iterator for Session {
         };
         let started = Instant::now();
         self.started.get_or_insert(started);
-        match self.slam.process(&frame) {
+        let processed = self.slam.process(&frame);
+        self.frame = Some(frame);
+        match processed {
             Ok(result) => {
                 self.summary.posed += usize::from(result.world_from_camera.is_some());
                 self.summary.poor += usize::from(matches!(result.status, FrameStatus::Poor { .. }));

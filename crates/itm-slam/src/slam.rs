@@ -2,15 +2,12 @@
 
 use std::collections::VecDeque;
 
-use itm_core::{
-    Calibration, ColourImage, Frame, Intrinsics, Mesh, ObservationWeight, OnFailure, Se3, Settings, StampedPose,
-    Trajectory,
-};
+use itm_core::{Calibration, Frame, Mesh, ObservationWeight, OnFailure, Se3, Settings, StampedPose, Trajectory};
 use itm_gpu::evaluate::Evaluator;
 use itm_gpu::mesh::Extract;
-use itm_gpu::render::{Render, Scale, Shading};
+use itm_gpu::render::Render;
 use itm_gpu::view::{ViewOptions, ViewStage};
-use itm_gpu::{Device, Recorder, StageTimes, View};
+use itm_gpu::{Device, RaycastImage, Recorder, StageTimes, View};
 use itm_io::map_file::SubmapState;
 
 use crate::Error;
@@ -23,10 +20,8 @@ use crate::local::{Eyes, Local, Needs};
 use crate::mapper::{Late, Mapper, Place};
 use crate::places::{Places, around};
 use crate::robot::Questions;
-use crate::source::BlockSource as _;
 use crate::submaps::Beside;
 use crate::tracking::{Against, Tracked, Tracker, Verdict, colour_offset};
-use crate::views::MapViews;
 use crate::warning::Warning;
 use itm_reloc::{AveragePose, Keyframe, average_pose};
 
@@ -61,7 +56,9 @@ pub struct Slam {
     /// Where the camera has been, to find it again.
     pub(crate) places: Option<Places>,
     pub(crate) mapper: Mapper,
-    render: Render,
+    pub(crate) render: Render,
+    /// What the last picture was cast into, for the next one of that size.
+    pub(crate) painted: Option<RaycastImage>,
     pub(crate) extract: Extract,
     pub(crate) trajectory: Trajectory,
     /// One more than the number of the last frame.
@@ -123,6 +120,7 @@ impl Slam {
             places,
             mapper,
             render: Render::new(device),
+            painted: None,
             extract: Extract::new(device),
             trajectory: Trajectory::default(),
             next_frame: 0,
@@ -134,6 +132,11 @@ impl Slam {
     /// The settings in force.
     pub fn settings(&self) -> &Settings {
         &self.settings
+    }
+
+    /// What the map lies on.
+    pub fn device(&self) -> &Device {
+        &self.device
     }
 
     /// The calibration in force.
@@ -250,6 +253,15 @@ impl Slam {
             Located::without(FrameStatus::NoPose)
         };
         self.conclude(frame, located, view_times, 0.0, report)
+    }
+
+    /// Says that the next frame does not follow the last one: the camera may have been moved by hand, or the recording is gone
+    /// on with elsewhere. It is looked for where it was last, as if it had stood still since.
+    pub fn interrupt(&mut self) {
+        self.primary.motion.interrupt();
+        for beside in &mut self.beside {
+            beside.local.motion.interrupt();
+        }
     }
 
     /// Finds a frame's pose in the map from certain poses, and leaves everything as it is; `None` without a map.
@@ -612,44 +624,14 @@ impl Slam {
     }
 
     /// Does something with the submaps' blocks as one map's.
-    fn with_combined<T>(&mut self, with: impl FnOnce(&mut Combined<'_>) -> Result<T, Error>) -> Result<T, Error> {
+    pub(crate) fn with_combined<T>(
+        &mut self,
+        with: impl FnOnce(&mut Combined<'_>) -> Result<T, Error>,
+    ) -> Result<T, Error> {
         let (poses, largest) = (self.submap_poses(), crate::views::full_weight(&self.settings));
         self.mapper.read_moved()?;
         let mut live = self.mapper.live_map()?;
         with(&mut Combined::new(&mut live, &poses, largest)?)
-    }
-
-    /// A picture of the map as a camera sees it from a pose, up to `max_depth_m`. Pixels that show nothing have alpha 0.
-    ///
-    /// # Errors
-    /// Where the view reaches over more blocks than the device can index, or the device fails.
-    pub fn render(
-        &mut self,
-        camera: &Intrinsics,
-        world_from_camera: &Se3,
-        max_depth_m: f32,
-        shading: Shading,
-    ) -> Result<ColourImage, Error> {
-        let scale = Scale { depth_m: [0.0, max_depth_m], confidence: crate::views::full_confidence(&self.settings) };
-        let device = self.device.clone();
-        if let Some(surfels) = &self.mapper.surfels {
-            let (image, pixels) = surfels.cast(&self.poses_of_submaps(), camera, world_from_camera, max_depth_m)?;
-            return Ok(self.render.run_surfels(&pixels, &image, world_from_camera, shading, &scale)?);
-        }
-        if self.submaps().len() > 1 {
-            return self.with_combined(|combined| {
-                let mut views = MapViews::new(&device, combined.layout(), 0, 1)?;
-                views.look(combined, camera, world_from_camera, max_depth_m)?;
-                views.picture(shading, &scale)
-            });
-        }
-        if let Some(mut live) = self.mapper.live()? {
-            let mut views = MapViews::new(&device, live.layout(), 0, 1)?;
-            views.look(&mut live, camera, world_from_camera, max_depth_m)?;
-            return views.picture(shading, &scale);
-        }
-        let image = self.mapper.cast(camera, world_from_camera, max_depth_m)?;
-        Ok(self.render.run(&self.mapper.map, &image, world_from_camera, shading, &scale)?)
     }
 }
 

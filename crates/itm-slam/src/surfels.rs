@@ -36,7 +36,7 @@ const FREE_EVERY: u32 = 8;
 pub(crate) struct Surfels {
     device: Device,
     calibration: Calibration,
-    settings: Settings,
+    pub(crate) settings: Settings,
     pub(crate) map: SurfelMap,
     pixels: SurfelView,
     associate: Associate,

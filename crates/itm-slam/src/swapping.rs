@@ -72,7 +72,7 @@ pub(crate) struct Swapped {
     pub(crate) incoming: Transfer,
     pub(crate) store: BlockStore,
     kind: VoxelKind,
-    max_weight: u16,
+    pub(crate) max_weight: u16,
     voxel_size_m: f32,
     margin_m: f32,
     /// Stored blocks by cell.

@@ -2,11 +2,11 @@
 
 use std::collections::HashSet;
 
-use glam::{DVec2, DVec3, Vec3};
+use glam::{DVec2, DVec3, IVec3, Vec3};
 use itm_core::voxel::{BEST_OBSERVATION, BLOCK_SIDE, BlockKey};
 use itm_core::{ColourImage, Image, Intrinsics, ObservationWeight, PointCloud, Se3, Settings};
-use itm_gpu::render::{Render, Scale, Shading};
-use itm_gpu::{BlockMap, Device, MapLayout, RaycastImage, Recorder};
+use itm_gpu::render::{Of, Render, Scale, Seen, Shading};
+use itm_gpu::{BlockMap, Canvas, Device, MapLayout, RaycastImage, Recorder};
 
 use crate::Error;
 use crate::caster::Caster;
@@ -66,9 +66,12 @@ impl MapViews {
             Some(image) => image,
             None => RaycastImage::new(&self.device, *camera)?,
         };
+        let seen = self.seen_blocks(source, camera, world_from_camera, max_depth_m);
+        let first = seen.iter().map(|key| key.position).reduce(IVec3::min).unwrap_or_default();
+        let last = seen.iter().map(|key| key.position).reduce(IVec3::max).unwrap_or_default();
         // Refused before anything is uploaded.
-        self.map.lay_grid(camera, world_from_camera, max_depth_m, 0.0)?;
-        self.fetch(source, camera, world_from_camera, max_depth_m)?;
+        self.map.lay_grid_within(camera, world_from_camera, max_depth_m, [first, last])?;
+        self.fetch(source, seen)?;
         let mut recorder = Recorder::new(&self.device);
         self.caster.look(&mut recorder, &self.map, &image, world_from_camera, max_depth_m);
         let _untimed = recorder.submit();
@@ -87,7 +90,25 @@ impl MapViews {
     /// Where the device fails.
     pub fn picture(&self, shading: Shading, scale: &Scale) -> Result<ColourImage, Error> {
         let Some((image, pose)) = &self.current else { return Ok(ColourImage::filled(0, 0, [0; 4])) };
-        Ok(self.render.run(&self.map, image, pose, shading, scale)?)
+        Ok(self.render.run(&self.seen(image, pose), shading, scale)?)
+    }
+
+    /// Paints the view onto a canvas of its camera's size, in place of what was there.
+    ///
+    /// # Panics
+    /// If the canvas has another size.
+    pub fn paint(&self, shading: Shading, scale: &Scale, canvas: &Canvas) {
+        let mut recorder = Recorder::new(&self.device);
+        canvas.clear(&mut recorder);
+        if let Some((image, pose)) = &self.current {
+            self.render.paint(&mut recorder, &self.seen(image, pose), shading, scale, canvas);
+        }
+        canvas.show(&mut recorder);
+        let _untimed = recorder.submit();
+    }
+
+    fn seen<'a>(&'a self, image: &'a RaycastImage, pose: &'a Se3) -> Seen<'a> {
+        Seen { image, map_from_camera: pose, world_from_map: &Se3::IDENTITY, of: Of::Voxels(&self.map) }
     }
 
     /// Depth along the optical axis in millimetres; 0 where there is none, or more than 65.534 m.
@@ -111,7 +132,7 @@ impl MapViews {
         let (points, normals) = (image.read_points(&self.device)?, image.read_normals(&self.device)?);
         let colours = kind
             .colour
-            .then(|| self.render.run(&self.map, image, pose, Shading::Colour, &Scale::default()))
+            .then(|| self.render.run(&self.seen(image, pose), Shading::Colour, &Scale::default()))
             .transpose()?;
         for (i, (&[x, y, z, observed], &[nx, ny, nz, known])) in points.data().iter().zip(normals.data()).enumerate() {
             if observed == 0.0 || known == 0.0 {
@@ -126,14 +147,14 @@ impl MapViews {
         Ok(cloud)
     }
 
-    /// Brings the blocks of a view to the device that are not there.
-    fn fetch(
-        &mut self,
-        source: &mut dyn BlockSource,
+    /// The blocks of a view, and those that interpolation in it reaches into.
+    fn seen_blocks(
+        &self,
+        source: &dyn BlockSource,
         camera: &Intrinsics,
         world_from_camera: &Se3,
         max_depth_m: f32,
-    ) -> Result<(), Error> {
+    ) -> Vec<BlockKey> {
         let voxel_m = f64::from(self.map.layout().voxel_size_m);
         let frustum = Frustum::new(camera, world_from_camera, max_depth_m.into());
         // With the voxels that interpolation reaches for.
@@ -141,6 +162,11 @@ impl MapViews {
         let middle = |key: &BlockKey| (key.position * BLOCK_SIDE).as_dvec3() + 0.5 * f64::from(BLOCK_SIDE - 1);
         let mut seen = source.keys();
         seen.retain(|key| key.submap == self.submap && frustum.meets(middle(key) * voxel_m, radius));
+        seen
+    }
+
+    /// Brings the blocks of a view to the device that are not there.
+    fn fetch(&mut self, source: &mut dyn BlockSource, seen: Vec<BlockKey>) -> Result<(), Error> {
         let mut new: Vec<BlockKey> = seen.iter().filter(|key| !self.held.contains(&key.pack())).copied().collect();
         if !self.held.is_empty() && self.held.len() + new.len() > self.max_blocks as usize {
             self.held.clear();

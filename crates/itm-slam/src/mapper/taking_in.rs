@@ -31,6 +31,7 @@ impl Mapper {
     /// device, where none may leave it. Parts of one block, of which a file may have several, are merged. Returns how many found
     /// no place, because they lie outside of a dense map's box.
     pub(crate) fn take_in(&mut self, reader: &mut MapReader, section: Tag) -> Result<usize, Error> {
+        self.extents = None;
         self.empty = false;
         if let Some(swapped) = self.swapped.as_mut().filter(|_| self.settings.map.swapping == Swapping::Host) {
             reader.blocks::<Error>(section, |key, words| match key {

@@ -49,6 +49,13 @@ impl Motion {
         }
     }
 
+    /// The camera is at rest at its last pose, and what an inertial sensor said before tells nothing of the next frame.
+    pub fn interrupt(&mut self) {
+        self.velocity = None;
+        self.readings.clear();
+        self.imu_orientation = None;
+    }
+
     /// The same motion as poses in another frame have it.
     pub fn seen_from(&self, other_from_world: &Se3) -> Self {
         let last = self.last.map(|(time, pose)| (time, *other_from_world * pose));

@@ -73,6 +73,19 @@ impl Tracker {
         Ok(Self { settings: settings.clone(), camera: *camera, parts, noise, map_exposure, poses })
     }
 
+    /// Takes over valid settings that ask for the same kind of tracker, made of the same parts on the same levels. What it
+    /// has learnt stays, as do files that are open.
+    pub(crate) fn change_settings(&mut self, settings: &Settings) {
+        if !self.parts.is_empty()
+            && let Ok(parts) = settings.tracker.parts()
+        {
+            for (part, tracker) in self.parts.iter_mut().zip(parts) {
+                part.change_settings(&Settings { tracker, ..settings.clone() });
+            }
+        }
+        self.settings = settings.clone();
+    }
+
     /// What it has learnt so far.
     pub fn learnt(&self) -> Learnt {
         let parts = self.parts.iter().map(Self::learnt).collect();
