@@ -7,6 +7,7 @@ mod convert;
 mod devices;
 mod eval;
 mod info;
+mod log;
 mod maps;
 mod mesh;
 mod mesh_error;
@@ -15,9 +16,13 @@ mod plot;
 mod recordings;
 mod render;
 mod report;
+mod results;
 mod run;
+mod settings;
+mod summary;
 mod synth;
 mod timings;
+mod view;
 
 use std::ffi::OsString;
 
@@ -43,6 +48,7 @@ enum Command {
     Mesh(mesh::Arguments),
     Render(render::Arguments),
     Synth(synth::Arguments),
+    View(Box<view::Arguments>),
     Devices(devices::Arguments),
 }
 
@@ -51,6 +57,7 @@ Examples:
   itm devices                         what can compute here
   itm synth room                      make a recording with exact ground truth
   itm run room                        reconstruct it into out/room
+  itm view room                       the same in a window
   itm run rgbd_dataset_freiburg1_desk -o desk --set map.voxel_size_m=0.01
   itm convert room room.mcap          the recording as a file for robots' tools
   itm info room.itm                   what a saved map holds
@@ -77,6 +84,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Mesh(arguments) => mesh::run(arguments),
         Command::Render(arguments) => render::run(arguments),
         Command::Synth(arguments) => synth::run(arguments),
+        Command::View(arguments) => view::run(arguments),
         Command::Devices(arguments) => devices::run(arguments),
     };
     result.unwrap_or_else(|error| {

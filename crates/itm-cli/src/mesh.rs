@@ -15,7 +15,7 @@ use serde_json::json;
 
 use crate::console;
 use crate::maps::{self, MIB};
-use crate::run::UpArgument;
+use crate::results::UpArgument;
 
 /// Mesh a saved map
 ///

@@ -87,8 +87,9 @@ pub(crate) struct Arguments {
     quiet: bool,
 }
 
+/// What a picture shows.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Kind {
+pub(crate) enum Kind {
     /// Shape, lit from the camera
     Grey,
     /// The same with highlights
@@ -102,6 +103,19 @@ enum Kind {
     Depth,
     /// How well the surface is known
     Confidence,
+}
+
+impl Kind {
+    pub(crate) fn shading(self) -> Shading {
+        match self {
+            Self::Grey => Shading::Grey,
+            Self::Phong => Shading::Phong,
+            Self::Colour => Shading::Colour,
+            Self::Normals => Shading::Normals,
+            Self::Depth => Shading::Depth,
+            Self::Confidence => Shading::Confidence,
+        }
+    }
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
@@ -157,17 +171,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
 }
 
 impl Arguments {
-    fn shading(&self) -> Shading {
-        match self.kind {
-            Kind::Grey => Shading::Grey,
-            Kind::Phong => Shading::Phong,
-            Kind::Colour => Shading::Colour,
-            Kind::Normals => Shading::Normals,
-            Kind::Depth => Shading::Depth,
-            Kind::Confidence => Shading::Confidence,
-        }
-    }
-
     /// The poses to render from.
     fn poses(&self, trajectory: &Trajectory) -> Result<Vec<Se3>> {
         let along = trajectory.poses().iter().step_by(self.every as usize).map(|pose| pose.world_from_camera);
@@ -212,7 +215,7 @@ impl Arguments {
                 points += seen.points.positions.len();
                 itm_io::points::write(&path, &seen.points, UpAxis::default())?;
             } else {
-                let picture = slam.render(&camera, pose, max_depth_m, self.shading())?;
+                let picture = slam.render(&camera, pose, max_depth_m, self.kind.shading())?;
                 self.write_picture(&path, &picture, || Ok(seen.depth_millimetres))?;
             }
             files.push(path);
@@ -247,7 +250,7 @@ impl Arguments {
 
     /// Writes a picture of the view, with depth its millimetres as well.
     fn draw(&self, views: &MapViews, scale: &Scale, path: &Path) -> Result<()> {
-        let picture = views.picture(self.shading(), scale)?;
+        let picture = views.picture(self.kind.shading(), scale)?;
         self.write_picture(path, &picture, || Ok(views.depth_millimetres()?))
     }
 

@@ -12,7 +12,7 @@ use itm_slam::{Submap, SubmapLink, bytes_per_surfel};
 
 use crate::pictures::Picture;
 use crate::plot::{self, Curve, Layer, OverFrames};
-use crate::run::Summary;
+use crate::summary::Summary;
 use crate::timings::{Row, STAGES, median};
 
 /// Messages that the page shows.
@@ -597,7 +597,8 @@ impl Report<'_> {
         if messages.is_empty() {
             return String::new();
         }
-        let row = |m: &crate::run::Message| format!("<tr><th>frame {}</th><td>{}</td></tr>", m.frame, escape(&m.text));
+        let row =
+            |m: &crate::summary::Message| format!("<tr><th>frame {}</th><td>{}</td></tr>", m.frame, escape(&m.text));
         let rows: String = messages.iter().take(MOST_MESSAGES).map(row).collect();
         let more = messages.len().saturating_sub(MOST_MESSAGES);
         let note = if more > 0 { format!("<p class='note'>and {more} more</p>") } else { String::new() };
