@@ -12,6 +12,7 @@ use crate::steps::{Step, run_all};
 pub(crate) fn test(installing: Installing, keep_going: bool) -> Result<()> {
     setup::components(installing)?;
     setup::adapter(installing)?;
+    setup::display(installing)?;
     run_all(steps(installing, keep_going)?, keep_going)
 }
 
@@ -19,6 +20,7 @@ pub(crate) fn test(installing: Installing, keep_going: bool) -> Result<()> {
 pub(crate) fn ci(installing: Installing, keep_going: bool) -> Result<()> {
     setup::components(installing)?;
     setup::adapter(installing)?;
+    setup::display(installing)?;
     let mut steps = steps(installing, keep_going)?;
     if succeeds(cargo().args(["deny", "--version"])) {
         steps.insert(0, Step::new("deny", with_arguments(&["deny", "check", "bans", "licenses", "sources"])));

@@ -32,6 +32,28 @@ pub(crate) fn adapter(installing: Installing) -> Result<()> {
     Ok(())
 }
 
+/// Makes sure that the viewer can be tested: it is run in a virtual display.
+pub(crate) fn display(installing: Installing) -> Result<()> {
+    // Called without arguments it would begin to serve.
+    if !cfg!(target_os = "linux") || succeeds(Command::new("Xvfb").arg("-help")) {
+        return Ok(());
+    }
+    let advice = "there is no virtual display (Xvfb), in which the viewer is tested. Install one: on Debian and Ubuntu, \
+                  apt-get install xvfb; on Fedora, dnf install xorg-x11-server-Xvfb; on Arch, pacman -S xorg-server-xvfb";
+    // What windows are opened with is loaded by name, so that a viewer starts on machines without it and says so.
+    let packages = [
+        "xvfb",
+        "libx11-6",
+        "libx11-xcb1",
+        "libxcursor1",
+        "libxi6",
+        "libxrandr2",
+        "libxkbcommon0",
+        "libxkbcommon-x11-0",
+    ];
+    install_on_debian(installing, "Display: none for tests of the viewer", &packages, advice)
+}
+
 /// Makes sure that there is a C++ compiler, which two of the libraries are built with.
 fn compiler(installing: Installing) -> Result<()> {
     if std::env::var_os("CXX").is_some() || succeeds(Command::new("c++").arg("--version")) {

@@ -19,9 +19,9 @@ const LAYERS: &[(&str, u32)] = &[
     ("itm-synth", 1),
     ("itm-slam", 2),
     ("itm-viewer", 3),
-    ("itm-cli", 3),
-    ("itm-py", 4),
-    ("itm-tests", 5),
+    ("itm-cli", 4),
+    ("itm-py", 5),
+    ("itm-tests", 6),
     // Depends on none of them, so that it builds at once, which the lowest layer enforces.
     ("xtask", 0),
 ];
