@@ -8,7 +8,9 @@ use std::path::PathBuf;
 
 use itm_io::Error as IoError;
 use itm_io::recording::{Format, Recording, RecordingInfo};
-use itm_slam::{Device, Event, Frame, FrameReport, FrameResult, Poses, Session, SessionOptions, Settings, Summary};
+use itm_slam::{
+    Device, Event, Frame, FrameReport, FrameResult, Mode, Poses, Session, SessionOptions, Settings, Summary,
+};
 use itm_synth::{Path, Sequence, Spec};
 
 /// A synthetic recording that is made as it is read.
@@ -54,6 +56,15 @@ impl Recording for InMemory {
 /// Where there can be none of that size.
 pub fn sequence(path: Path, size: (u32, u32), frames: u32) -> Sequence {
     Sequence::new(Spec::new(path).with_size(size.0, size.1).with_frames(frames)).expect("a valid specification")
+}
+
+/// Settings for small images: small voxels' worth of map.
+pub fn small_map(mode: Mode) -> Settings {
+    let mut settings = Settings { mode, ..Settings::default() };
+    settings.map.voxel_size_m = 0.02;
+    settings.map.truncation_m = 0.08;
+    settings.map.initial_blocks = 256;
+    settings
 }
 
 /// Opens the best adapter; `None`, with a word about it, where the environment variable `ITM_SKIP_GPU_TESTS` is set.

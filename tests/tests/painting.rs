@@ -1,22 +1,14 @@
 //! Pictures for windows: they show what pictures for files show, and looking changes nothing.
 
 use itm_slam::{
-    Canvas, ColourImage, Device, FrameStatus, Intrinsics, Look, Mode, Poses, Se3, Session, SessionOptions, Settings,
-    Shading, Slam, Start,
+    Canvas, ColourImage, Device, FrameStatus, Intrinsics, Look, Mode, Poses, Se3, Session, SessionOptions, Shading,
+    Slam, Start,
 };
 use itm_synth::{Path, Sequence, Spec};
-use itm_tests::{InMemory, device, sequence};
-
-fn settings(mode: Mode) -> Settings {
-    let mut settings = Settings { mode, ..Settings::default() };
-    settings.map.voxel_size_m = 0.02;
-    settings.map.truncation_m = 0.08;
-    settings.map.initial_blocks = 256;
-    settings
-}
+use itm_tests::{InMemory, device, sequence, small_map};
 
 fn start(device: &Device, sequence: &Sequence, mode: Mode) -> Slam {
-    Slam::new(device, &sequence.calibration(), &settings(mode), Poses::Tracked).expect("a small map fits")
+    Slam::new(device, &sequence.calibration(), &small_map(mode), Poses::Tracked).expect("a small map fits")
 }
 
 fn look(shading: Shading) -> Look {
@@ -139,7 +131,7 @@ fn a_session_goes_on_with_another_frame() {
     let Some(device) = device() else { return };
     let sequence = sequence(Path::Arc, (160, 120), 30);
     let options = SessionOptions {
-        settings: settings(Mode::Basic),
+        settings: small_map(Mode::Basic),
         poses: Poses::Tracked,
         frames: Some(0..25),
         start: Start::Afresh,

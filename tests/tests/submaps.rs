@@ -5,16 +5,7 @@ use itm_slam::{
     SubmapState, Trajectory,
 };
 use itm_synth::{DepthNoise, Path, Sequence, Spec};
-use itm_tests::device;
-
-/// Small voxels' worth of map for small images.
-fn settings(mode: Mode) -> Settings {
-    let mut settings = Settings { mode, ..Settings::default() };
-    settings.map.voxel_size_m = 0.02;
-    settings.map.truncation_m = 0.08;
-    settings.map.initial_blocks = 256;
-    settings
-}
+use itm_tests::{device, small_map};
 
 /// Processes frames; what happened.
 fn process(slam: &mut Slam, sequence: &Sequence, frames: std::ops::Range<usize>) -> Vec<Happening> {
@@ -53,7 +44,7 @@ fn a_loop_is_closed_and_two_runs_give_the_same_bytes() {
     let sequence = around(290);
     let folder = tempfile::tempdir().expect("a folder");
     let run = |name: &str| {
-        let mut slam = start(&device, &sequence, &settings(Mode::LoopClosure));
+        let mut slam = start(&device, &sequence, &small_map(Mode::LoopClosure));
         let happened = process(&mut slam, &sequence, 0..290);
         slam.save(&folder.path().join(name)).expect("saved");
         (slam, happened)
@@ -73,7 +64,7 @@ fn a_loop_is_closed_and_two_runs_give_the_same_bytes() {
     assert!(bytes("one.itm") == bytes("two.itm"));
 
     // Where the camera was lies better for it.
-    let mut basic = start(&device, &sequence, &settings(Mode::Basic));
+    let mut basic = start(&device, &sequence, &small_map(Mode::Basic));
     process(&mut basic, &sequence, 0..290);
     slam.settle();
     let (closed, open) = (ate_m(&slam, &sequence), ate_m(&basic, &sequence));
@@ -109,7 +100,7 @@ fn a_session_of_submaps_goes_on_as_if_it_had_never_stopped() {
     let at = |name: &str| folder.path().join(name);
     let sequence = around(290);
     // Saved while two submaps are tracked and an optimisation is on its way, with blocks on the host too.
-    let mut settings = settings(Mode::LoopClosure);
+    let mut settings = small_map(Mode::LoopClosure);
     settings.map.device_budget_mib = 6.0;
     let mut whole = start(&device, &sequence, &settings);
     process(&mut whole, &sequence, 0..90);
@@ -136,7 +127,7 @@ fn a_kidnapped_camera_and_one_in_a_saved_map_are_found() {
     let spec = Spec { duration_s: 12.0, ..Spec::new(Path::Kidnapped).with_size(160, 120).with_frames(360) };
     let kidnapped = Sequence::new(spec).expect("a valid specification");
     for mode in [Mode::Basic, Mode::LoopClosure] {
-        let mut slam = start(&device, &kidnapped, &settings(mode));
+        let mut slam = start(&device, &kidnapped, &small_map(mode));
         let (mut lost, mut found, mut after) = (0, 0, Vec::new());
         let first = kidnapped.frames().next().and_then(|frame| frame.world_from_camera).expect("a pose");
         for frame in kidnapped.frames() {
@@ -156,7 +147,7 @@ fn a_kidnapped_camera_and_one_in_a_saved_map_are_found() {
         slam.save(&path).expect("saved");
 
         // In the saved map, from a frame in the middle, without a word about where that is.
-        let mut looking = settings(mode);
+        let mut looking = small_map(mode);
         looking.map.fuse = false;
         let mut there = Slam::in_map(&device, &kidnapped.calibration(), &looking, &path, None).expect("taken in");
         let begin = 40;

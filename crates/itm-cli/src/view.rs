@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Error, Result};
 use clap::Args;
 use itm_slam::{Event, Poses, Session};
-use itm_viewer::{Keeper, KeeperFor, Options, Picture};
+use itm_viewer::{Keeper, KeeperFor, Options};
 
 use crate::console;
 use crate::log::Log;
@@ -88,7 +88,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         run: !arguments.paused,
         free_view: arguments.free,
         shading: arguments.kind.shading(),
-        picture: arguments.picture.clone().map(|path| Picture { path, at_once: false }),
+        picture: arguments.picture.clone(),
         size: arguments.size,
     })?;
     Ok(0)

@@ -24,4 +24,4 @@ mod theme;
 mod toasts;
 
 pub use keeper::{Keeper, KeeperFor};
-pub use run::{Error, Options, Picture, run};
+pub use run::{Error, Options, run};

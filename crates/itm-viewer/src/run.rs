@@ -1,6 +1,6 @@
 //! Opening the window.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -36,21 +36,12 @@ pub struct Options {
     pub shading: Shading,
     /// Keeps the results of each reconstruction.
     pub keeper_for: Option<KeeperFor>,
-    /// Takes a picture of the window, and closes it.
-    pub picture: Option<Picture>,
+    /// Writes a picture of the window to this PNG file once no more frames come, and closes it.
+    pub picture: Option<PathBuf>,
     /// The window's size in points.
     pub size: (f32, f32),
     /// A switch that closes the window when set, from any thread.
     pub stop: Arc<AtomicBool>,
-}
-
-/// A picture of the window.
-#[derive(Clone, Debug)]
-pub struct Picture {
-    /// The PNG file.
-    pub path: PathBuf,
-    /// Whether it is taken as soon as something is open, without waiting for its last frame.
-    pub at_once: bool,
 }
 
 impl Default for Options {
@@ -130,10 +121,8 @@ pub fn run(options: Options) -> Result<(), Error> {
     let outcome = outcome.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
     match (picture, outcome) {
         (None, _) | (Some(_), Some(Ok(()))) => Ok(()),
-        (Some(picture), Some(Err(reason))) => Err(Error::Picture { path: picture.path, reason }),
-        (Some(picture), None) => {
-            Err(Error::Picture { path: picture.path, reason: "the window was closed before".into() })
-        }
+        (Some(picture), Some(Err(reason))) => Err(Error::Picture { path: picture, reason }),
+        (Some(picture), None) => Err(Error::Picture { path: picture, reason: "the window was closed before".into() }),
     }
 }
 
@@ -146,7 +135,7 @@ type Outcome = Arc<std::sync::Mutex<Option<Result<(), String>>>>;
 /// The viewer in a window of the system's.
 struct Window {
     viewer: Viewer,
-    picture: Option<Picture>,
+    picture: Option<PathBuf>,
     outcome: Outcome,
     stop: Arc<AtomicBool>,
     device: Device,
@@ -225,7 +214,7 @@ impl Window {
             let failed = matches!(state.scene, Scene::Nothing) && state.busy.is_none() && state.told > 0;
             let done = match &state.scene {
                 Scene::Nothing => failed || self.viewer.recent.is_empty(),
-                Scene::Recording { finished, .. } => state.shown.is_some() && (*finished || picture.at_once),
+                Scene::Recording { finished, .. } => state.shown.is_some() && *finished,
                 Scene::Map { .. } => state.shown.is_some(),
                 Scene::Results { .. } => true,
             };
@@ -246,11 +235,11 @@ impl Window {
     }
 }
 
-fn write_png(picture: &Picture, image: &ColorImage) -> Result<(), String> {
+fn write_png(path: &Path, image: &ColorImage) -> Result<(), String> {
     let [width, height] = image.size;
     let rgb: Vec<u8> = image.pixels.iter().flat_map(|pixel| [pixel.r(), pixel.g(), pixel.b()]).collect();
     let image = image::RgbImage::from_raw(width as u32, height as u32, rgb).ok_or("the picture has another size")?;
-    image.save_with_format(&picture.path, image::ImageFormat::Png).map_err(|error| error.to_string())
+    image.save_with_format(path, image::ImageFormat::Png).map_err(|error| error.to_string())
 }
 
 impl eframe::App for Window {

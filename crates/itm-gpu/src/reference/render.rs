@@ -87,7 +87,13 @@ pub fn compose(
 /// The colour of a value on the scale between two ends.
 pub(super) fn on_scale(value: f64, [low, high]: [f32; 2]) -> DVec3 {
     let (low, high) = (f64::from(low), f64::from(high));
-    let place = ((value - low) / (high - low)).clamp(0.0, 1.0) * 8.0;
+    scale_colour((value - low) / (high - low))
+}
+
+/// The colour of a place on the scale, from 0 to 1, as red, green and blue from 0 to 1. Hosts that show depth beside a picture
+/// take it from here.
+pub fn scale_colour(share: f64) -> DVec3 {
+    let place = share.clamp(0.0, 1.0) * 8.0;
     let below = (place as usize).min(7);
     let step = |i: usize| DVec3::from_array(STEPS[i].map(f64::from)) / 255.0;
     step(below).lerp(step(below + 1), place - below as f64)

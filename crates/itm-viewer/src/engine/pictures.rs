@@ -2,26 +2,9 @@
 
 use itm_slam::{Calibration, ColourImage, DepthImage};
 
-/// The scale of colours 'viridis' (Smith & van der Walt, CC0) at nine steps, with straight lines between; the one that the
-/// map's depth is shown on.
-const STEPS: [[f32; 3]; 9] = [
-    [68.0, 1.0, 84.0],
-    [71.0, 44.0, 122.0],
-    [59.0, 81.0, 139.0],
-    [44.0, 113.0, 142.0],
-    [33.0, 144.0, 141.0],
-    [39.0, 173.0, 129.0],
-    [92.0, 200.0, 99.0],
-    [170.0, 220.0, 50.0],
-    [253.0, 231.0, 37.0],
-];
-
-/// The colour of a place on the scale, from 0 to 1.
+/// The colour of a place on the scale that the map's depth is shown on, from 0 to 1.
 pub(crate) fn scale_colour(share: f32) -> [u8; 3] {
-    let place = share.clamp(0.0, 1.0) * 8.0;
-    let below = (place as usize).min(7);
-    let part = place - below as f32;
-    std::array::from_fn(|i| (STEPS[below][i] + (STEPS[below + 1][i] - STEPS[below][i]) * part).round() as u8)
+    itm_gpu::reference::render::scale_colour(share.into()).to_array().map(|v| (v * 255.0).round() as u8)
 }
 
 /// Depth on the scale of colours, from 0 to a depth in metres; black where nothing was measured or it is out of range.
