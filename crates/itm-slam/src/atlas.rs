@@ -40,6 +40,7 @@ pub struct Submap {
 
 /// A pose between two submaps that was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SubmapLink {
     /// The one submap.
     pub from: u16,
@@ -53,6 +54,42 @@ pub struct SubmapLink {
     pub frames: usize,
 }
 
+/// Where a frame's camera is in a submap.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct PoseIn {
+    pub(crate) submap: u16,
+    pub(crate) submap_from_camera: Se3,
+    /// How much it counts: the share of the frame's pixels that agree with the submap.
+    pub(crate) weight: f64,
+}
+
+/// Where a frame's camera is in all submaps that it was tracked in.
+#[derive(Clone, Debug)]
+struct FramePoses {
+    timestamp: Timestamp,
+    primary: PoseIn,
+    beside: Vec<PoseIn>,
+}
+
+impl FramePoses {
+    /// Their mean in the world, by weight. Each submap is bent in its own way, so that it errs by less than any of them. One
+    /// that is further from the primary's than frames of a link may be from each other does not count.
+    fn mean(&self, world_from: impl Fn(u16) -> Se3, settings: &SubmapSettings) -> Se3 {
+        let first = world_from(self.primary.submap) * self.primary.submap_from_camera;
+        let length = |twist: &[f64; 6]| twist.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let (mut sum, mut weights) = ([0.0; 6], self.primary.weight);
+        for PoseIn { submap, submap_from_camera, weight } in &self.beside {
+            // They are so near each other that the mean of their twists is that of the poses.
+            let off = (first.inverse() * world_from(*submap) * *submap_from_camera).log();
+            if length(&off) <= settings.link_huber {
+                sum.iter_mut().zip(off).for_each(|(sum, off)| *sum += weight * off);
+                weights += weight;
+            }
+        }
+        if weights > self.primary.weight { first * Se3::exp(sum.map(|v| v / weights)) } else { first }
+    }
+}
+
 /// All submaps.
 #[derive(Debug)]
 pub(crate) struct Atlas {
@@ -60,8 +97,8 @@ pub(crate) struct Atlas {
     pub(crate) submaps: Vec<Submap>,
     /// By their submaps, the lower number first, and whether the camera came back to get them.
     links: BTreeMap<(u16, u16, bool), Link>,
-    /// Of each frame that has one, its time and its pose in a submap.
-    frames: Vec<(Timestamp, u16, Se3)>,
+    /// The frames that have a pose.
+    frames: Vec<FramePoses>,
     /// How far the camera has gone, in metres.
     way_m: f64,
     /// Links measured since the poses were last optimised.
@@ -129,6 +166,9 @@ pub(crate) struct AtlasState {
     submaps: Vec<Submap>,
     links: Vec<Link>,
     frames: Vec<(i64, u16, Se3)>,
+    /// Of each frame how much its pose counts, and its poses in other submaps; maps of earlier versions have none.
+    #[serde(default)]
+    beside: Vec<(f64, Vec<PoseIn>)>,
     /// The poses in the world as they were found.
     live: Vec<Se3>,
 }
@@ -207,15 +247,18 @@ impl Atlas {
         central.iter().filter(inside).count() as f64 / central.len().max(1) as f64
     }
 
-    /// Takes a frame's pose in the primary submap in.
-    pub(crate) fn moved_to(&mut self, timestamp: Timestamp, submap: u16, submap_from_camera: &Se3) {
-        if let Some((_, before, pose)) = self.frames.last()
-            && *before == submap
+    /// Takes a frame's pose in the primary submap in, and those in the others that it was tracked in.
+    pub(crate) fn moved_to(&mut self, timestamp: Timestamp, primary: PoseIn, beside: Vec<PoseIn>) {
+        // In the order of the live trajectory: where a recording is gone back in, frames do not come last.
+        let at = self.frames.partition_point(|frame| frame.timestamp <= timestamp);
+        if let Some(FramePoses { primary: before, .. }) = at.checked_sub(1).map(|before| &self.frames[before])
+            && before.submap == primary.submap
         {
-            self.way_m += pose.translation.distance(submap_from_camera.translation);
+            let [before, now] = [before, &primary].map(|pose| pose.submap_from_camera.translation);
+            self.way_m += before.distance(now);
         }
-        self.submaps[usize::from(submap)].left_at_m = self.way_m;
-        self.frames.push((timestamp, submap, *submap_from_camera));
+        self.submaps[usize::from(primary.submap)].left_at_m = self.way_m;
+        self.frames.insert(at, FramePoses { timestamp, primary, beside });
     }
 
     pub(crate) fn set_state(&mut self, number: u16, state: SubmapState) {
@@ -349,9 +392,9 @@ impl Atlas {
 
     /// The frames' poses where the submaps lie otherwise.
     pub(crate) fn trajectory_with(&self, world_from: impl Fn(u16) -> Se3) -> Trajectory {
-        let pose = |(timestamp, submap, pose): &(Timestamp, u16, Se3)| StampedPose {
-            timestamp: *timestamp,
-            world_from_camera: world_from(*submap) * *pose,
+        let pose = |frame: &FramePoses| StampedPose {
+            timestamp: frame.timestamp,
+            world_from_camera: frame.mean(&world_from, &self.settings),
         };
         self.frames.iter().map(pose).collect()
     }
@@ -379,14 +422,17 @@ impl Atlas {
             running,
             submaps: self.submaps.clone(),
             links: self.links.values().cloned().collect(),
-            frames: self.frames.iter().map(|(time, submap, pose)| (time.0, *submap, *pose)).collect(),
+            frames: (self.frames.iter())
+                .map(|frame| (frame.timestamp.0, frame.primary.submap, frame.primary.submap_from_camera))
+                .collect(),
+            beside: self.frames.iter().map(|frame| (frame.primary.weight, frame.beside.clone())).collect(),
             live: live.poses().iter().map(|pose| pose.world_from_camera).collect(),
         }
     }
 
     /// With the poses in the world as they were found.
     pub(crate) fn from_state(settings: &SubmapSettings, state: AtlasState) -> (Self, Trajectory) {
-        let AtlasState { way_m, unused, running, submaps, links, frames, live } = state;
+        let AtlasState { way_m, unused, running, submaps, links, frames, beside, live } = state;
         let found = frames.iter().zip(live);
         let live = found.map(|((time, ..), pose)| StampedPose { timestamp: Timestamp(*time), world_from_camera: pose });
         let live = live.collect();
@@ -394,7 +440,15 @@ impl Atlas {
             settings: settings.clone(),
             submaps,
             links: links.into_iter().map(|link| (link.key(), link)).collect(),
-            frames: frames.into_iter().map(|(time, submap, pose)| (Timestamp(time), submap, pose)).collect(),
+            frames: frames
+                .into_iter()
+                .zip(beside.into_iter().chain(std::iter::repeat((1.0, Vec::new()))))
+                .map(|((time, submap, submap_from_camera), (weight, beside))| FramePoses {
+                    timestamp: Timestamp(time),
+                    primary: PoseIn { submap, submap_from_camera, weight },
+                    beside,
+                })
+                .collect(),
             way_m,
             unused,
             running: running.map(|(due, solved)| Running { due, result: RunResult::Here(solved) }),

@@ -7,7 +7,7 @@ use itm_io::map_file::SubmapState;
 use itm_reloc::Keyframe;
 use serde::{Deserialize, Serialize};
 
-use crate::atlas::{Atlas, Submap, SubmapLink, sees};
+use crate::atlas::{Atlas, PoseIn, Submap, SubmapLink, sees};
 use crate::happening::Happening;
 use crate::link::{Link, Observation};
 use crate::local::{Eyes, Local};
@@ -71,6 +71,14 @@ impl Trial {
 struct Seen {
     pose: Se3,
     good: bool,
+    /// Of the frame's pixels those that agree with the submap.
+    share: f64,
+}
+
+impl Seen {
+    fn in_submap(&self, submap: u16) -> PoseIn {
+        PoseIn { submap, submap_from_camera: self.pose, weight: self.share }
+    }
 }
 
 impl Slam {
@@ -122,10 +130,10 @@ impl Slam {
         let step = before.map(|before| before.inverse() * pose);
         let mut seen = self.track_beside(frame, step, good.then_some((&pose, tracked)), happenings)?;
         self.end_trials(&pose, &mut seen, happenings);
-        let mut pose = pose;
+        let mut primary = Seen { pose, good, share: tracked.map_or(1.0, |tracked| tracked.inlier_share) };
         if good {
             self.look_for_closure(frame, &pose, &mut seen, happenings)?;
-            pose = self.choose_primary(pose, &mut seen, happenings)?;
+            primary = self.choose_primary(primary, &mut seen, happenings)?;
         }
         self.leave(&mut seen, happenings);
         for (beside, seen) in self.beside.iter_mut().zip(&seen) {
@@ -138,13 +146,16 @@ impl Slam {
             local.motion.moved_to(frame, seen.pose);
         }
         if let Some(atlas) = &mut self.atlas {
-            atlas.moved_to(frame.timestamp, self.primary.submap, &pose);
+            let counts = |(beside, seen): &(&Beside, &Seen)| good && seen.good && beside.life.is_settled();
+            let beside = self.beside.iter().zip(&seen).filter(counts);
+            let beside = beside.map(|(beside, seen)| seen.in_submap(beside.local.submap)).collect();
+            atlas.moved_to(frame.timestamp, primary.in_submap(self.primary.submap), beside);
             // Where the map is only looked at, its submaps stay where they are.
             if self.settings.map.fuse {
                 happenings.extend(atlas.optimise(self.mapper.frames()));
             }
         }
-        Ok(pose)
+        Ok(primary.pose)
     }
 
     /// Tracks the frame in the submaps beside the primary, and measures where those lie.
@@ -163,8 +174,9 @@ impl Slam {
             // The camera moves in each submap as it does in the primary.
             let expected = step.map_or(last, |step| last * step);
             let found = local.track_from(&mut eyes, frame, &[expected])?;
-            let share = settings.submaps.min_inlier_share;
-            let good = found.as_ref().is_some_and(|f| f.verdict == Verdict::Good && f.inlier_share >= share);
+            let share = found.as_ref().map_or(0.0, |found| found.inlier_share);
+            let good = found.as_ref().is_some_and(|found| found.verdict == Verdict::Good)
+                && share >= settings.submaps.min_inlier_share;
             life.failed = if good { 0 } else { life.failed + 1 };
             let pose = found.as_ref().filter(|_| good).map_or(expected, |found| found.estimate);
             if let Some(trial) = &mut life.trial {
@@ -187,7 +199,7 @@ impl Slam {
                     happenings.extend(link.map(|link| Happening::Linked { from: link.from, to: link.to }));
                 }
             }
-            seen.push(Seen { pose, good });
+            seen.push(Seen { pose, good, share });
         }
         Ok(seen)
     }
@@ -313,7 +325,7 @@ impl Slam {
         let local = self.new_local(submap)?;
         let life = Life { failed: 0, trial: Some(Trial::begin(self.primary.submap, submap)) };
         self.beside.push(Beside { local, life });
-        seen.push(Seen { pose: there, good: true });
+        seen.push(Seen { pose: there, good: true, share: 0.0 });
         Ok(())
     }
 
@@ -329,17 +341,18 @@ impl Slam {
     /// Where the camera has left the middle of the primary, another active submap takes its place, or a new one begins.
     fn choose_primary(
         &mut self,
-        pose: Se3,
+        primary: Seen,
         seen: &mut Vec<Seen>,
         happenings: &mut Vec<Happening>,
-    ) -> Result<Se3, Error> {
+    ) -> Result<Seen, Error> {
         let camera = self.calibration.depth;
         let far_m = f64::from(self.settings.view.max_depth_m);
         let new_below = self.settings.submaps.new_below;
         let from = self.primary.submap;
-        let Some(atlas) = &mut self.atlas else { return Ok(pose) };
+        let pose = primary.pose;
+        let Some(atlas) = &mut self.atlas else { return Ok(primary) };
         if !atlas.has_central(from) || atlas.share_in_view(from, &camera, &pose, far_m) >= new_below {
-            return Ok(pose);
+            return Ok(primary);
         }
         let settled = |at: &usize| {
             let Beside { local, life } = &self.beside[*at];
@@ -354,15 +367,15 @@ impl Slam {
             atlas.set_state(from, SubmapState::Active);
             atlas.set_state(to, SubmapState::Primary);
             happenings.push(Happening::Primary { submap: to, from });
-            return Ok(std::mem::replace(&mut seen[at].pose, pose));
+            return Ok(std::mem::replace(&mut seen[at], primary));
         }
         // Nothing would be fused into a new one, or it would find no room.
         if !self.settings.map.fuse || !self.mapper.may_begin_submap() {
-            return Ok(pose);
+            return Ok(primary);
         }
-        let Some(submap) = atlas.next_number() else { return Ok(pose) };
+        let Some(submap) = atlas.next_number() else { return Ok(primary) };
         if let Err(error) = self.mapper.begin_submap(submap) {
-            return self.no_room_for_submap(error).map(|()| pose);
+            return self.no_room_for_submap(error).map(|()| primary);
         }
         atlas.begin(from, &pose);
         atlas.set_state(from, SubmapState::Active);
@@ -373,9 +386,10 @@ impl Slam {
         local.motion = self.primary.motion.seen_from(&pose.inverse());
         let old = std::mem::replace(&mut self.primary, local);
         self.beside.push(Beside { local: old, life: Life::default() });
-        seen.push(Seen { pose, good: true });
+        seen.push(primary);
         happenings.push(Happening::Submap { submap, from });
-        Ok(Se3::IDENTITY)
+        // What began with the frame says nothing about its pose.
+        Ok(Seen { pose: Se3::IDENTITY, good: true, share: 0.0 })
     }
 
     /// Leaves the submaps in which tracking has failed, and those that are too many.

@@ -24,6 +24,7 @@ impl AtlasState {
     /// Keeps what another session can use.
     pub(crate) fn forget_session(&mut self) {
         self.frames.clear();
+        self.beside.clear();
         self.live.clear();
         self.running = None;
     }
@@ -76,6 +77,25 @@ impl AtlasState {
                 leave_out("the last optimisation's result is".into(), format!("{reason}; another one begins"));
             }
         }
+        self.beside.resize(self.frames.len(), (1.0, Vec::new()));
+        let mut wrong = 0;
+        for (weight, beside) in &mut self.beside {
+            let counts = |weight: f64| weight.is_finite() && weight >= 0.0;
+            let before = beside.len();
+            beside.retain(|pose| {
+                usize::from(pose.submap) < submaps
+                    && counts(pose.weight)
+                    && check_pose(&pose.submap_from_camera).is_ok()
+            });
+            wrong += before - beside.len();
+            if !counts(*weight) {
+                (*weight, wrong) = (1.0, wrong + 1);
+            }
+        }
+        if wrong > 0 {
+            let reason = "they are in submaps that are not there, or none".into();
+            leave_out(format!("{wrong} of the frames' poses in further submaps are"), reason);
+        }
         let mut gone = [0, 0];
         let usable: Vec<bool> = (self.frames.iter().zip(&self.live))
             .map(|((_, submap, pose), live)| {
@@ -94,6 +114,8 @@ impl AtlasState {
         }
         let mut keep = usable.iter();
         self.frames.retain(|_| keep.next() == Some(&true));
+        let mut keep = usable.iter();
+        self.beside.retain(|_| keep.next() == Some(&true));
         let mut keep = usable.iter();
         self.live.retain(|_| keep.next() == Some(&true));
         Ok(left_out)
