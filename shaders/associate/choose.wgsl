@@ -1,7 +1,7 @@
 // Which surfel of one page each pixel's measurement belongs to, and which of those that competed with it is to be merged with it: the
 // first of several stable ones. What stands in front of a well-known surface that is seen stands in free space, and is removed
-// (Keller et al. 2013, section 5.3).
-import package::shared::surfel::{SEEN, REMOVED, IN_FRONT, pixel_of, place_of, rank_of, rank_of_key};
+// (Keller et al. 2013, section 5.3), and so is what stays unstable though it is looked at.
+import package::shared::surfel::{SEEN, REMOVED, IN_FRONT, OLD, REFUTED, pixel_of, place_of, rank_of, rank_of_key};
 
 struct Params {
     room: u32,
@@ -30,14 +30,14 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
             continue;
         }
         let pixel = pixel_of(goal);
-        if (goal & IN_FRONT) != 0u {
-            if best[pixel] != 0u && rank_of_key(best[pixel]) >= rank_of(params.stable) {
-                places[index - params.first] = vec4(0.0);
-                atomicAdd(&counters[REMOVED], 1u);
-            }
-        } else if place_of(best[pixel]) == i {
+        let competes = (goal & (IN_FRONT | REFUTED)) == 0u;
+        let is_free = (goal & IN_FRONT) != 0u && best[pixel] != 0u && rank_of_key(best[pixel]) >= rank_of(params.stable);
+        if competes && place_of(best[pixel]) == i {
             chosen[pixel] = ~index;
-        } else if places[index - params.first].w >= params.stable {
+        } else if is_free || (goal & OLD) != 0u {
+            places[index - params.first] = vec4(0.0);
+            atomicAdd(&counters[REMOVED], 1u);
+        } else if competes && places[index - params.first].w >= params.stable {
             atomicMax(&rivals[pixel], ~index);
         }
     }

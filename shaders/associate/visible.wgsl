@@ -1,6 +1,6 @@
 // Which surfels of one page lie in the view, and how many of each 32 slots do. The slots' bits lie behind the counts of all pages.
 // With `of_submap` those of one submap alone; with `combined` those of all, as they lie in the world.
-// With `removing`, those that stayed unstable for too long are removed on the way.
+// With `removing`, those that stayed unstable and were not seen for long are removed on the way.
 import package::shared::camera::{Camera, project};
 import package::shared::surfel::{Attributes, USED, REMOVED, STABLE, submap_of};
 
@@ -18,8 +18,8 @@ struct Params {
     least_confidence: f32,
     stable: f32,
     frame: u32,
-    // Frames after which an unstable surfel that was not observed again is removed.
-    patience: u32,
+    // Frames after which an unstable surfel that was not observed again is removed, wherever it is.
+    forget_after: u32,
     submap: u32,
     // Of other submaps, surfels of less confidence are removed: no frame will tell more of them soon.
     kept_elsewhere: f32,
@@ -59,7 +59,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
             @if(removing) {
                 stable += u32(place.w >= params.stable);
                 var is_forgotten = is_meant && place.w < params.stable;
-                is_forgotten = is_forgotten && params.frame - min(params.frame, attributes[i].z) > params.patience;
+                is_forgotten = is_forgotten && params.frame - min(params.frame, attributes[i].z) > params.forget_after;
                 @if(of_submap) {
                     is_forgotten = is_forgotten || (!is_meant && place.w > 0.0 && place.w < params.kept_elsewhere);
                 }

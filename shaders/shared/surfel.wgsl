@@ -23,9 +23,14 @@ const IN_FRONT: u32 = 0x80000000u;
 // And that it was seen more than once.
 const KNOWN: u32 = 0x40000000u;
 
+// And that it is unstable, and was not observed for a while.
+const OLD: u32 = 0x20000000u;
+// And that the measurement, which does not stand before it, is not its own.
+const REFUTED: u32 = 0x10000000u;
+
 // The pixel that a target, which is not 0, means.
 fn pixel_of(goal: u32) -> u32 {
-    return (goal & ~(IN_FRONT | KNOWN)) - 1u;
+    return (goal & ~(IN_FRONT | KNOWN | OLD | REFUTED)) - 1u;
 }
 
 // Of the complement of a depth's bits, which always has it: it is left to discs that are known well enough, so that they come first.

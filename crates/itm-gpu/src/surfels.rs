@@ -473,7 +473,7 @@ impl List {
     }
 
     /// Records the list of the surfels of at least some confidence that the camera of `pixels` sees; without one, of all of them, and
-    /// those that stayed unstable for too long are removed, and of other submaps those that are hardly known. `camera_from_submaps` is what
+    /// those that stayed unstable and were not seen for long are removed, and of other submaps those that are hardly known. `camera_from_submaps` is what
     /// [`SurfelMap::camera_from_submaps`] gives.
     pub(crate) fn record(
         &self,
@@ -505,7 +505,7 @@ impl List {
                     least_confidence: least_confidence.unwrap_or(0.0),
                     stable: options.settings.stable,
                     frame: options.frame,
-                    patience: options.settings.patience,
+                    forget_after: options.settings.forget_after,
                     submap: options.part.submap().into(),
                     kept_elsewhere: options.settings.track_from,
                     unused: [0; 2],

@@ -23,8 +23,11 @@ pub struct SurfelSettings {
     pub stable: f32,
     /// Largest confidence: a smaller one follows changes sooner.
     pub max_confidence: f32,
-    /// Frames after which an unstable surfel that was not observed again is removed.
+    /// Frames after which an unstable surfel is removed that is looked at again, and not observed.
     pub patience: u32,
+    /// Frames after which an unstable surfel that was not observed again is removed wherever it is, so that what was seen in passing does
+    /// not fill the memory of a long way.
+    pub forget_after: u32,
     /// Confidence from which on surfels are tracked against, once their submap is `all_for` frames old. What is below it is removed
     /// where frames are fused into another submap.
     pub track_from: f32,
@@ -122,6 +125,7 @@ impl Default for SurfelSettings {
             stable: 10.0,
             max_confidence: 100.0,
             patience: 20,
+            forget_after: 3000,
             track_from: 3.0,
             all_for: 20,
             window_m: 0.01,

@@ -29,8 +29,10 @@ pub struct Measured<'a> {
 pub enum Role {
     /// No measurement says anything of it.
     None,
-    /// It stayed unstable for too long.
+    /// It stayed unstable, and was not seen for long.
     Forgotten,
+    /// This pixel looks at it, and measures something else that does not stand before it.
+    Refuted(usize),
     /// It may be the surfel of this pixel's measurement.
     Competes(usize),
     /// It stands in front of what this pixel measures.
@@ -45,7 +47,7 @@ pub enum Role {
 pub fn role(surfel: &Surfel, measured: &Measured<'_>, margin_m: f64) -> Option<Role> {
     let settings = measured.settings;
     let unseen = measured.frame.saturating_sub(surfel.seen);
-    if surfel.confidence < settings.stable && unseen > settings.patience {
+    if surfel.confidence < settings.stable && unseen > settings.forget_after {
         return Some(Role::Forgotten);
     }
     let camera_from_world = measured.world_from_camera.inverse();
@@ -63,9 +65,15 @@ pub fn role(surfel: &Surfel, measured: &Measured<'_>, margin_m: f64) -> Option<R
     }
     let Some(normal) = measured.normals.data()[pixel] else { return Some(Role::None) };
     let cosine = normal.dot(camera_from_world.transform_vector(surfel.normal.as_dvec3()));
-    let is_off = above(in_front.abs(), window(settings, vertex.z), margin_m)?
+    let is_behind = above(-in_front, window(settings, vertex.z), margin_m)?;
+    let is_off = is_behind
+        || above(in_front, window(settings, vertex.z), margin_m)?
         || above(f64::from(settings.max_angle_rad).cos(), cosine, margin_m)?;
-    Some(if is_off { Role::None } else { Role::Competes(pixel) })
+    Some(match (is_off, is_behind) {
+        (false, _) => Role::Competes(pixel),
+        (true, false) => Role::Refuted(pixel),
+        (true, true) => Role::None,
+    })
 }
 
 /// What a frame's measurements and the surfels are to each other. Surfels by their slots.
@@ -76,8 +84,8 @@ pub struct Association {
     pub chosen: Vec<Option<usize>>,
     /// For each pixel the first of the stable surfels that competed as well: it may be merged (section 5.2).
     pub rivals: Vec<Option<usize>>,
-    /// Surfels that stayed unstable for too long, or stand in front of a measurement whose surfel has a stable one's rank
-    /// (section 5.3).
+    /// Surfels that stand in front of a measurement whose surfel has a stable one's rank, that stayed unstable though they are looked at,
+    /// and what was not seen for long (section 5.3).
     pub removed: Vec<usize>,
 }
 
@@ -107,13 +115,21 @@ pub fn associate(slots: &[Option<Surfel>], measured: &Measured<'_>) -> Associati
     }
     let least = confidence_rank(measured.settings.stable);
     let is_stable = |pixel: usize| chosen[pixel].is_some_and(|i| rank(i) >= least);
-    let is_removed = |role: &Role| match role {
+    let is_removed = |(i, surfel, role): &&(usize, &Surfel, Role)| match role {
         Role::Forgotten => true,
-        Role::InFront(pixel) => is_stable(*pixel),
-        Role::None | Role::Competes(_) => false,
+        Role::InFront(pixel) => is_stable(*pixel) || is_old(surfel, measured),
+        Role::Refuted(_) => is_old(surfel, measured),
+        Role::Competes(pixel) => chosen[*pixel] != Some(*i) && is_old(surfel, measured),
+        Role::None => false,
     };
-    let removed = roles.iter().filter(|(_, _, role)| is_removed(role)).map(|(i, ..)| *i).collect();
+    let removed = roles.iter().filter(is_removed).map(|(i, ..)| *i).collect();
     Association { chosen, rivals, removed }
+}
+
+/// Whether a surfel is unstable, and was not observed for a while.
+pub fn is_old(surfel: &Surfel, measured: &Measured<'_>) -> bool {
+    let settings = measured.settings;
+    surfel.confidence < settings.stable && measured.frame.saturating_sub(surfel.seen) > settings.patience
 }
 
 /// The colour of a measurement (camera frame, metres), where the colour camera sees it: bilinear between the four pixels around, of

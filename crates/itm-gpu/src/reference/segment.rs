@@ -200,7 +200,7 @@ pub fn falls(surfel: &Surfel, role: Role, cells: &Image<Cell>, measured: &Measur
     let window_m = window(settings, centre.z) + margin_m;
     match role {
         Role::Forgotten => false,
-        Role::None => {
+        Role::None | Role::Refuted(_) => {
             let [near_m, far_m] = measured.depth_range_m.map(f64::from);
             let Some(pixel) = camera.project(centre).filter(|_| (near_m..=far_m).contains(&centre.z)) else {
                 return false;
