@@ -118,8 +118,8 @@ pub fn run(device: &Device, recording: Box<dyn Recording>, settings: &Settings, 
     for event in session.by_ref() {
         match event {
             Event::Frame { result, .. } => frames.push(result),
-            Event::Skipped { .. } | Event::Warning(_) => {}
             Event::Finished(end) => summary = Some(end),
+            _ => {}
         }
     }
     Run { session, frames, summary: summary.expect("every run finishes") }

@@ -21,6 +21,10 @@ use crate::timings::Timings;
 /// Follows a session's events: what they say goes into files, onto the progress bar and into messages.
 pub(crate) struct Log {
     trajectory: TumWriter,
+    /// Whether that file was written anew, so that it is not the live trajectory any more.
+    pub(crate) rewritten: bool,
+    /// The settings that were written.
+    settings: Settings,
     pub(crate) timings: Timings<BufWriter<File>>,
     info: RecordingInfo,
     pub(crate) messages: Vec<Message>,
@@ -44,6 +48,8 @@ const RATE_OVER: usize = 30;
 
 impl Log {
     /// Creates the files that grow with the run, and writes the settings.
+    ///
+    /// The frames' poses and times are flushed as they come.
     pub(crate) fn create(out: &Path, info: &RecordingInfo, settings: &Settings) -> Result<Self> {
         let at = |name: &str| out.join(name);
         let failed = |path: &Path| format!("cannot write '{}'", path.display());
@@ -55,6 +61,8 @@ impl Log {
         let file = File::create(&path).with_context(|| failed(&path))?;
         Ok(Self {
             trajectory,
+            rewritten: false,
+            settings: settings.clone(),
             timings: Timings::new(BufWriter::new(file)).with_context(|| failed(&path))?,
             info: info.clone(),
             messages: Vec::new(),
@@ -70,6 +78,23 @@ impl Log {
         })
     }
 
+    /// Writes the settings again where they were changed while it ran: those that hold now, and that they are not those of all
+    /// frames.
+    pub(crate) fn write_changed_settings(&mut self, out: &Path, settings: &Settings) -> Result<()> {
+        if *settings == self.settings {
+            return Ok(());
+        }
+        self.settings = settings.clone();
+        let path = out.join("settings.toml");
+        let text = format!(
+            "# These were changed while it ran: they hold for the last frames, and a run with them is another one.\n{}",
+            settings.to_toml()
+        );
+        fs::write(&path, text).with_context(|| format!("cannot write '{}'", path.display()))?;
+        self.say(self.last_frame(), "settings were changed while it ran; settings.toml has the last ones".into());
+        Ok(())
+    }
+
     /// Writes the poses of a session that goes on, so that the file holds all of them.
     pub(crate) fn write_poses_before(&mut self, before: &Trajectory) -> Result<()> {
         for (pose, place) in before.poses().iter().zip(0..) {
@@ -80,14 +105,20 @@ impl Log {
     }
 
     /// Writes the trajectory with the submaps where they lie at the end in place of the live one, which is kept beside it.
-    pub(crate) fn write_corrected(&self, out: &Path, trajectory: &Trajectory) -> Result<()> {
+    pub(crate) fn write_corrected(&mut self, out: &Path, trajectory: &Trajectory) -> Result<()> {
         let (path, live) = (out.join("trajectory.txt"), out.join("trajectory_live.txt"));
         fs::rename(&path, &live).with_context(|| format!("cannot keep '{}'", live.display()))?;
+        self.write_trajectory(&path, trajectory)
+    }
+
+    /// Writes a trajectory anew; frames that come later follow it, where the file is the one that grows.
+    pub(crate) fn write_trajectory(&mut self, path: &Path, trajectory: &Trajectory) -> Result<()> {
         let time = if self.info.has_timestamps { TimeColumn::Seconds } else { TimeColumn::FrameNumber };
-        let mut writer = TumWriter::create(&path, time)?;
+        let mut writer = TumWriter::create(path, time)?;
         for (pose, place) in trajectory.poses().iter().zip(0..) {
             writer.write(self.info.image_number(pose.timestamp).unwrap_or(place), pose)?;
         }
+        (self.trajectory, self.rewritten) = (writer, true);
         Ok(())
     }
 
@@ -102,8 +133,8 @@ impl Log {
                     bar.inc(1);
                 }
                 Event::Skipped { .. } => bar.inc(1),
-                Event::Warning(_) => {}
                 Event::Finished(summary) => return Ok(summary),
+                _ => {}
             }
             if let Err(error) = kept
                 && self.failure.is_none()
@@ -134,6 +165,7 @@ impl Log {
                 summary.reports.iter().for_each(|report| self.tell_notices(report));
                 Ok(())
             }
+            _ => Ok(()),
         }
     }
 
@@ -199,6 +231,7 @@ impl Log {
                 }
                 Notice::Dropped { .. } | Notice::SurfelsDropped { .. } => std::mem::replace(&mut self.dropped, true),
                 Notice::HostStore { .. } => std::mem::replace(&mut self.unstored, true),
+                _ => false,
             };
             if !known {
                 self.say(report.index, notice.to_string());

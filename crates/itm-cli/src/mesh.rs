@@ -45,9 +45,10 @@ pub(crate) struct Arguments {
     /// Mesh all submaps as one, as without this; a file that ends in .itm becomes a map of one submap
     #[arg(long, conflicts_with = "submap")]
     fuse_submaps: bool,
-    /// Only where voxels have been observed so often
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    min_weight: u32,
+    /// Only where voxels have been observed so often [default: 1]; of points of surfels those of at least this confidence, 0 for all
+    /// [default: surfels.stable]
+    #[arg(long, value_name = "N")]
+    min_weight: Option<u32>,
     /// Only what lies in this box, in metres of the map's world
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = parse_box, allow_hyphen_values = true)]
     crop: Option<[Vec3; 2]>,
@@ -98,7 +99,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let device = maps::device(arguments.device.as_deref(), &map)?;
     let started = Instant::now();
     let bar = console::bar(0, "blocks meshed", arguments.quiet);
-    let options = MeshOptions { min_weight: arguments.min_weight, ..MeshOptions::default() };
+    let options = MeshOptions { min_weight: arguments.min_weight.unwrap_or(1), ..MeshOptions::default() };
     let mut progress = |done, all| {
         bar.set_length(all);
         bar.set_position(done);
@@ -120,7 +121,7 @@ fn finish(arguments: &Arguments, mut mesh: Mesh, seconds: f64, of: (&str, usize,
         bail!(
             "the map '{}' has no surface where voxels were observed {} times",
             arguments.map.display(),
-            arguments.min_weight.max(1)
+            arguments.min_weight.unwrap_or(1).max(1)
         );
     }
     let found = mesh.triangles.len();
@@ -142,7 +143,7 @@ fn finish(arguments: &Arguments, mut mesh: Mesh, seconds: f64, of: (&str, usize,
     if arguments.points {
         point_file::write(out, &PointCloud::from(mesh), up.unwrap_or_default())?;
     } else {
-        mesh_file::write(out, &mesh, &mesh_file::MeshOptions { up })?;
+        mesh_file::write(out, &mesh, &mesh_file::WriteOptions { up })?;
     }
     if arguments.json {
         let mut answer = json!({
@@ -175,7 +176,7 @@ fn of_surfels(arguments: &Arguments, mut slam: Slam) -> Result<u8> {
     let of_voxels = [
         ("--submap", arguments.submap.is_some()),
         ("--fuse-submaps", arguments.fuse_submaps),
-        ("--min-weight", arguments.min_weight != 1),
+        ("--min-weight", !arguments.points && arguments.min_weight.is_some()),
         ("--components", arguments.points && arguments.components.is_some()),
         ("--decimate", arguments.points && arguments.decimate.is_some()),
     ];
@@ -183,7 +184,14 @@ fn of_surfels(arguments: &Arguments, mut slam: Slam) -> Result<u8> {
         let what = if arguments.points { "points of surfels" } else { "maps of surfels" };
         bail!("{option} says nothing of {what}, as '{}' has them", arguments.map.display());
     }
-    let surfels = slam.surfels()?;
+    let surfels = match arguments.min_weight {
+        None => slam.surfels()?,
+        Some(least) => {
+            let mut all = slam.all_surfels()?;
+            all.retain(|surfel| surfel.confidence >= least as f32);
+            all
+        }
+    };
     if !arguments.points {
         let started = Instant::now();
         let bar = console::bar(0, "views meshed", arguments.quiet);
@@ -201,7 +209,7 @@ fn of_surfels(arguments: &Arguments, mut slam: Slam) -> Result<u8> {
     };
     let kept: Vec<Surfel> = surfels.iter().filter(inside).copied().collect();
     if kept.is_empty() {
-        bail!("nothing is left of {} surfels after --crop", surfels.len());
+        bail!("nothing is left of {} surfels", surfels.len());
     }
     point_file::write(&arguments.out, &cloud_of_surfels(&kept), arguments.up.map(UpAxis::from).unwrap_or_default())?;
     let shown = arguments.out.display();
@@ -231,7 +239,7 @@ fn fuse(arguments: &Arguments) -> Result<u8> {
         ("--decimate", arguments.decimate.is_some()),
         ("--points", arguments.points),
         ("--up", arguments.up.is_some()),
-        ("--min-weight", arguments.min_weight != 1),
+        ("--min-weight", arguments.min_weight.is_some()),
     ];
     if let Some((option, _)) = of_meshes.into_iter().find(|(_, given)| *given) {
         bail!("{option} is for meshes, and cannot go with the map file '{}'", out.display());

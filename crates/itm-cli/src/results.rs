@@ -1,5 +1,6 @@
 //! The folder of a run's results: what is written at the end.
 
+use std::collections::BTreeSet;
 use std::fs::{self, OpenOptions};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -8,7 +9,7 @@ use std::time::Instant;
 use anyhow::{Context as _, Error, Result, bail};
 use clap::ValueEnum;
 use itm_core::{Mesh, Se3, Trajectory, evaluation};
-use itm_io::mesh::{MeshOptions, UpAxis};
+use itm_io::mesh::{UpAxis, WriteOptions};
 use itm_slam::{Keyframe, Poses, Session};
 use serde_json::json;
 
@@ -117,16 +118,28 @@ impl Results {
                 session.slam_mut().save(path).with_context(|| format!("the map is not saved in '{}'", path.display())),
             );
         }
+        keep(log.write_changed_settings(&self.out, session.slam().settings()));
         let settled = session.slam_mut().settle();
+        let live = session.slam().trajectory().last_of_each_time();
+        let trajectory = session.slam().corrected_trajectory().last_of_each_time();
+        // Where a recording was gone back in, frames have several poses in the file that grew.
+        let grew = !log.rewritten && live.len() == session.slam().trajectory().len();
+        let file = |name: &str| self.out.join(name);
         if let Some(happening) = &settled {
             log.say(log.last_frame(), happening.to_string());
-            keep(log.write_corrected(&self.out, &session.slam_mut().corrected_trajectory()));
+            if grew {
+                keep(log.write_corrected(&self.out, &trajectory));
+            } else {
+                keep(log.write_trajectory(&file("trajectory_live.txt"), &live));
+                keep(log.write_trajectory(&file("trajectory.txt"), &trajectory));
+            }
+        } else if !grew {
+            keep(log.write_trajectory(&file("trajectory.txt"), &live));
         }
         let mut mesh = None;
         if !self.mesh_formats.is_empty() {
             keep(self.write_mesh(session).map(|written| mesh = Some(written)));
         }
-        let trajectory = session.slam_mut().corrected_trajectory();
         let mut evaluate = |trajectory: &Trajectory| match (&info.ground_truth, self.poses) {
             (Some(truth), Poses::Tracked) => evaluation::evaluate(trajectory, truth, evaluation::DEFAULT_TOLERANCE_NS)
                 .map_err(|error| log.say(log.last_frame(), format!("no ATE: {error}")))
@@ -134,7 +147,7 @@ impl Results {
             _ => None,
         };
         let evaluation = evaluate(&trajectory);
-        let live_evaluation = settled.is_some().then(|| evaluate(session.slam_mut().trajectory())).flatten();
+        let live_evaluation = settled.is_some().then(|| evaluate(&live)).flatten();
         let truth_from_mesh = match (&info.ground_truth, self.poses) {
             (_, Poses::Given) => Some(Se3::IDENTITY),
             (Some(truth), Poses::Tracked) => mesh_error::align_poses(&trajectory, truth),
@@ -147,6 +160,7 @@ impl Results {
             });
 
         let rows = log.timings.rows();
+        let reached = rows.iter().map(|row| row.frame).collect::<BTreeSet<_>>().len();
         let median_of = |value: &dyn Fn(&Row) -> Option<f64>| timings::median(rows.iter().filter_map(value));
         let median_stage = |(i, stage)| Some((stage, median_of(&|row: &Row| row.stage_ms[i])?));
         let mut summary = Summary {
@@ -159,9 +173,9 @@ impl Results {
             device: self.device.clone(),
             poses: if self.poses == Poses::Tracked { "tracked" } else { "given" },
             frames: ended.frames,
-            frames_reached: rows.len(),
+            frames_reached: reached,
             posed: ended.posed,
-            posed_share: ended.posed as f64 / rows.len().max(1) as f64,
+            posed_share: ended.posed as f64 / reached.max(1) as f64,
             poor: ended.poor,
             lost: ended.lost,
             skipped: ended.skipped,
@@ -226,7 +240,7 @@ impl Results {
         });
         bar.finish_and_clear();
         let mesh = mesh.context("no mesh")?;
-        let options = MeshOptions { up: self.up };
+        let options = WriteOptions { up: self.up };
         for format in &self.mesh_formats {
             itm_io::mesh::write(&self.out.join(format.file_name()), &mesh, &options)?;
         }

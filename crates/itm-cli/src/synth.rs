@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
-use itm_io::mesh::MeshOptions;
+use itm_io::mesh::WriteOptions;
 use itm_synth::{Cover, DepthNoise, Exposure, InertialNoise, Path, Quality, SceneName, Sequence, Spec};
 use serde_json::json;
 
@@ -129,7 +129,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
 
     let surface = written.folder.join("surface.ply");
     let mesh = itm_synth::exact_mesh(sequence.scene(), SURFACE_CELL_M)?;
-    itm_io::mesh::write(&surface, &mesh, &MeshOptions::default())?;
+    itm_io::mesh::write(&surface, &mesh, &WriteOptions::default())?;
     mesh_error::mark_scene(&written.folder, sequence.spec().scene).context("cannot name the scene")?;
 
     if arguments.json {

@@ -1,5 +1,6 @@
 //! `itm view`.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -19,7 +20,7 @@ use crate::settings::{FrameRange, SettingsArguments};
 /// Watch a reconstruction in a window, or look at a saved map
 ///
 /// A recording is reconstructed as 'itm run' does it, with the same settings, while the map can be looked at from anywhere. A map
-/// (.itm) can be looked at, meshed and gone on with. Without a path the window says what to do; files can be dropped on it.
+/// (.itm) can be looked at, meshed, and a recording tracked in it. Without a path the window says what to do; files can be dropped on it.
 #[derive(Args)]
 #[command(after_help = "\
 Examples:
@@ -39,7 +40,8 @@ pub(crate) struct Arguments {
     frames: Option<FrameRange>,
     #[command(flatten)]
     open: RecordingArguments,
-    /// Folder for the results, as 'itm run' writes them [default: out/NAME-view, with the recording's name]
+    /// Folder for the results, as 'itm run' writes them, of a second reconstruction in the same window with a number behind its
+    /// name [default: out/NAME-view, with the recording's name]
     #[arg(short, long)]
     out: Option<PathBuf>,
     /// Keep no results but those that are asked for in the window
@@ -55,7 +57,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_enum, default_value_t = Kind::Phong)]
     kind: Kind,
     /// Write a picture of the window to this PNG file once the last frame is done, and close it
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "paused")]
     picture: Option<PathBuf>,
     /// Size of the window
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x800", value_parser = size_from_str)]
@@ -71,8 +73,11 @@ fn size_from_str(text: &str) -> Result<(f32, f32), String> {
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let keeper_for: KeeperFor = {
         let (out, poses) = (arguments.out.clone(), arguments.settings.poses());
+        let mut used = HashSet::new();
         Box::new(move |recording, session| {
-            Ok(Box::new(Kept::begin(recording, session, out.as_deref(), poses).map_err(told)?))
+            let name = format!("{}-view", session.info().name);
+            let out = out.clone().unwrap_or_else(|| Path::new("out").join(name));
+            Ok(Box::new(Kept::begin(recording, session, unused(&mut used, &out), poses).map_err(told)?))
         })
     };
     let stop = Arc::<AtomicBool>::default();
@@ -94,6 +99,19 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     Ok(0)
 }
 
+/// A folder that this window has written no results into: the one asked for, or one whose name goes on with a number.
+fn unused(used: &mut HashSet<PathBuf>, asked: &Path) -> PathBuf {
+    let mut folder = asked.to_owned();
+    for number in 2.. {
+        if used.insert(folder.clone()) {
+            break;
+        }
+        let name = asked.file_name().unwrap_or_default().to_string_lossy();
+        folder = asked.with_file_name(format!("{name}-{number}"));
+    }
+    folder
+}
+
 fn told(error: Error) -> String {
     format!("{error:#}")
 }
@@ -106,9 +124,7 @@ struct Kept {
 }
 
 impl Kept {
-    fn begin(recording: &Path, session: &Session, out: Option<&Path>, poses: Poses) -> Result<Self> {
-        let name = format!("{}-view", session.info().name);
-        let out = out.map_or_else(|| Path::new("out").join(name), Path::to_owned);
+    fn begin(recording: &Path, session: &Session, out: PathBuf, poses: Poses) -> Result<Self> {
         prepare_folder(&out, recording)?;
         let mut log = Log::create(&out, session.info(), session.slam().settings())?;
         log.write_poses_before(session.slam().trajectory())?;
@@ -135,11 +151,11 @@ impl Keeper for Kept {
         self.log.take(event).map_err(told)
     }
 
-    fn finish(mut self: Box<Self>, session: &mut Session) -> Result<PathBuf, String> {
-        let ended = self.ended.unwrap_or_default();
+    fn finish(&mut self, session: &mut Session) -> Result<PathBuf, String> {
+        let ended = self.ended.take().unwrap_or_default();
         let summary = self.results.write(session, &mut self.log, &ended);
         // As the program says them without a window; what could not be written is said in the window too.
         console::note(&summary);
-        if summary.errors.is_empty() { Ok(self.results.out) } else { Err(summary.errors.join("; ")) }
+        if summary.errors.is_empty() { Ok(self.results.out.clone()) } else { Err(summary.errors.join("; ")) }
     }
 }

@@ -54,6 +54,7 @@ pub struct Calibration {
 
 /// Why a calibration cannot be used.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
 pub enum CalibrationError {
     /// An image without pixels, or too large to index.
     #[error("the {camera} camera's image size must be between 1x1 and 16384x16384, not {width}x{height}")]
@@ -98,6 +99,33 @@ pub enum CalibrationError {
     },
 }
 
+impl Intrinsics {
+    /// Checks that every number can be meant: sides of 1 to 16384 pixels, focal lengths that are finite and not zero (`fx`
+    /// positive), a finite principal point. `camera` is what errors call it.
+    ///
+    /// # Errors
+    /// The first number that cannot be.
+    pub fn validate(&self, camera: &'static str) -> Result<(), CalibrationError> {
+        if !(1..=16384).contains(&self.width) || !(1..=16384).contains(&self.height) {
+            return Err(CalibrationError::ImageSize { camera, width: self.width, height: self.height });
+        }
+        for (name, value) in [("fx", self.fx), ("fy", self.fy)] {
+            if !value.is_finite() || value.abs() < 1e-3 {
+                return Err(CalibrationError::Value { camera, name, expected: "finite and not zero", value });
+            }
+        }
+        if self.fx < 0.0 {
+            return Err(CalibrationError::Value { camera, name: "fx", expected: "positive", value: self.fx });
+        }
+        for (name, value) in [("cx", self.cx), ("cy", self.cy)] {
+            if !value.is_finite() {
+                return Err(CalibrationError::Value { camera, name, expected: "finite", value });
+            }
+        }
+        Ok(())
+    }
+}
+
 impl Calibration {
     /// One camera for both images: registered colour and depth.
     pub const fn registered(camera: Intrinsics, depth_conversion: DepthConversion) -> Self {
@@ -132,27 +160,13 @@ impl Calibration {
         let cameras =
             [("depth", &self.depth, &self.depth_distortion), ("colour", &self.colour, &self.colour_distortion)];
         for (camera, i, distortion) in cameras {
-            if !(1..=16384).contains(&i.width) || !(1..=16384).contains(&i.height) {
-                return Err(CalibrationError::ImageSize { camera, width: i.width, height: i.height });
-            }
-            for (name, value) in [("fx", i.fx), ("fy", i.fy)] {
-                if !value.is_finite() || value.abs() < 1e-3 {
-                    return Err(CalibrationError::Value { camera, name, expected: "finite and not zero", value });
-                }
-            }
-            if i.fx < 0.0 {
-                return Err(CalibrationError::Value { camera, name: "fx", expected: "positive", value: i.fx });
-            }
-            for (name, value) in [("cx", i.cx), ("cy", i.cy)] {
-                if !value.is_finite() {
-                    return Err(CalibrationError::Value { camera, name, expected: "finite", value });
-                }
-            }
+            i.validate(camera)?;
             if let Some(pixel) = distortion.fold(i) {
                 return Err(CalibrationError::Distortion { camera, x: pixel.x, y: pixel.y });
             }
         }
-        if !self.colour_from_depth.is_finite() {
+        let pose = &self.colour_from_depth;
+        if Se3::try_from_quaternion(pose.rotation, pose.translation).is_err() {
             return Err(CalibrationError::Degenerate { name: "the motion from depth to colour camera" });
         }
         let usable = match self.depth_conversion {

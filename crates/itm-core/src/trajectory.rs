@@ -24,6 +24,15 @@ impl Trajectory {
         Self { poses }
     }
 
+    /// Of poses at the same time the one that was added last: where a recording was gone back in, frames have several.
+    #[must_use]
+    pub fn last_of_each_time(&self) -> Self {
+        let last = |(at, pose): &(usize, &StampedPose)| {
+            self.poses.get(at + 1).is_none_or(|next| next.timestamp != pose.timestamp)
+        };
+        Self { poses: self.poses.iter().enumerate().filter(last).map(|(_, pose)| *pose).collect() }
+    }
+
     /// Adds a pose; its place follows from its time stamp.
     pub fn push(&mut self, pose: StampedPose) {
         let at = self.poses.partition_point(|p| p.timestamp <= pose.timestamp);
@@ -74,5 +83,19 @@ mod tests {
         assert_eq!(nearest(15, 5), Some(10));
         assert_eq!(nearest(40, 5), None);
         assert_eq!(Trajectory::default().nearest(Timestamp(0), i64::MAX), None);
+    }
+
+    #[test]
+    fn of_poses_at_one_time_the_last_added_is_kept() {
+        let at = |ns, x| StampedPose {
+            timestamp: Timestamp(ns),
+            world_from_camera: Se3 { translation: glam::DVec3::X * x, ..Se3::IDENTITY },
+        };
+        let mut trajectory: Trajectory = [at(10, 0.0), at(20, 0.0), at(30, 0.0)].into_iter().collect();
+        trajectory.push(at(20, 1.0));
+        trajectory.push(at(30, 2.0));
+        assert_eq!(trajectory.len(), 5);
+        assert_eq!(trajectory.last_of_each_time().poses(), [at(10, 0.0), at(20, 1.0), at(30, 2.0)]);
+        assert!(Trajectory::default().last_of_each_time().is_empty());
     }
 }

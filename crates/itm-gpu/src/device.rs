@@ -215,7 +215,7 @@ impl Device {
         let adapter = Self::choose(sorted_adapters(), wanted)?;
         let info = adapter.get_info();
         let (device, queue) = pollster::block_on(adapter.request_device(&Self::descriptor(&adapter)))
-            .map_err(|source| Error::Open { adapter: info.name.clone(), source })?;
+            .map_err(|source| Error::Open { adapter: info.name.clone(), source: Box::new(source) })?;
         Self::from_wgpu(device, queue, &info)
     }
 

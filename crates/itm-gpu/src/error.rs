@@ -4,6 +4,7 @@ use thiserror::Error;
 
 /// What can go wrong on a device.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum Error {
     /// No adapter at all.
     #[error("no graphics adapter was found. {advice}")]
@@ -38,7 +39,7 @@ pub enum Error {
         adapter: String,
         /// The driver's reason.
         #[source]
-        source: wgpu::RequestDeviceError,
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// A picture with no pixels, or too many along a side.
     #[error("a picture of {width}x{height} pixels: expected sides of 1 to {longest}, the device's longest")]

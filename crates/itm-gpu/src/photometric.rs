@@ -18,6 +18,8 @@ use crate::{BlockMap, Device, Error, RaycastImage, Recorder, SurfelView, View};
 #[derive(Debug)]
 pub struct PointList {
     finest: usize,
+    /// Pixels between the points of the finest level.
+    stride: u32,
     /// Size, as an image, and the points.
     levels: Vec<((u32, u32), wgpu::Buffer)>,
 }
@@ -26,13 +28,21 @@ impl PointList {
     /// Lists for a model's image, at levels from `finest` (2^finest pixels apart along both axes) up to, but without,
     /// `end`; empty until they are recorded.
     pub fn new(device: &Device, model: &RaycastImage, finest: usize, end: usize) -> Self {
+        Self::spaced(device, model, finest, end, 1)
+    }
+
+    /// The same with only every so many of their points along both axes.
+    pub fn spaced(device: &Device, model: &RaycastImage, finest: usize, end: usize, every: u32) -> Self {
         let camera = model.camera();
-        let size = |level: usize| (camera.width.div_ceil(1 << level).max(1), camera.height.div_ceil(1 << level).max(1));
+        let size = |level: usize| {
+            let side = |pixels: u32| pixels.div_ceil(every << level).max(1);
+            (side(camera.width), side(camera.height))
+        };
         let levels = (finest..end.max(finest + 1))
             .map(size)
             .map(|(w, h)| ((w, h), device.storage("coloured points", u64::from(w) * u64::from(h) * 16)))
             .collect();
-        Self { finest, levels }
+        Self { finest, stride: every << finest, levels }
     }
 
     /// The level whose points are nearest to those of a wanted one.
@@ -138,7 +148,7 @@ impl Photometric {
                 colour_camera_from_world: world_from_colour.inverse().to_mat4().to_cols_array_2d(),
                 size: [model.camera().width, model.camera().height],
                 list_size: [*width, *height],
-                stride: 1 << list.finest,
+                stride: list.stride,
                 least_confidence,
                 unused: [0; 2],
             },
@@ -171,7 +181,7 @@ impl Photometric {
                 map: map.params(),
                 size: [model.camera().width, model.camera().height],
                 list_size: [*width, *height],
-                stride: 1 << list.finest,
+                stride: list.stride,
                 least_confidence,
                 unused: [0; 2],
             },
@@ -204,7 +214,7 @@ impl Photometric {
             params: photometric::surfels::Params {
                 size: [model.camera().width, model.camera().height],
                 list_size: [*width, *height],
-                stride: 1 << list.finest,
+                stride: list.stride,
                 unused_a: 0,
                 unused_b: [0; 2],
             },

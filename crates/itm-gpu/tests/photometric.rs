@@ -113,6 +113,17 @@ impl Painted {
         list
     }
 
+    /// Every other one of the points with the map's colours.
+    fn list_every_other(&self, gpu: &Gpu) -> PointList {
+        let list = PointList::spaced(&gpu.device, &self.model, 0, 1, 2);
+        let mut recorder = Recorder::new(&gpu.device);
+        let evaluator = Evaluator::new(&gpu.device);
+        let (map, pose) = (&self.fusion.map, &self.world_from_model);
+        evaluator.photometric.list_map(&mut recorder, &list, &self.model, map, pose, 0.0);
+        let _untimed = recorder.submit();
+        list
+    }
+
     /// The model's points that were observed often enough.
     fn points(&self, gpu: &Gpu, least: f32) -> Image<Option<DVec3>> {
         let points = self.model.read_points(&gpu.device).expect("the device answers");
@@ -448,6 +459,17 @@ fn terms_are_summed_together_as_alone_and_not_without_colour() {
     let without = gpu.see(&painted.calibration, &frame);
     assert_eq!(evaluate(&without, Some(&depth), [first, second]), (Some(of_depth), [None, None]));
     assert_eq!(evaluate(&without, None, [None, None]), (None, [None, None]));
+}
+
+#[test]
+fn every_other_point_of_a_list_is_what_the_next_level_has() {
+    let Some(gpu) = common::gpu() else { return };
+    let painted = Painted::new(gpu, PLAIN, common::poses()[0], common::poses()[2]);
+    let read = |list: PointList, level| list.read(&gpu.device, level).expect("the device answers");
+    let points = read(painted.list_every_other(gpu), 0);
+    assert!(points.iter().flatten().count() > 100);
+    assert!(points == read(painted.list_map(gpu, (1, 2), 0.0), 1));
+    assert!(points.len() < read(painted.list_map(gpu, (0, 1), 0.0), 0).len());
 }
 
 #[test]

@@ -23,7 +23,7 @@ pub use crate::export::UpAxis;
 
 /// What may be chosen about a mesh file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct MeshOptions {
+pub struct WriteOptions {
     /// Which way is up in the file. By default PLY, OBJ and STL keep the world's axes, so that they agree with the
     /// trajectory. GLB is always y-up, which its format demands.
     pub up: Option<UpAxis>,
@@ -37,7 +37,7 @@ pub struct MeshOptions {
 /// # Errors
 /// An extension that is none of these, a mesh whose parts do not fit together or whose positions are not finite, a mesh
 /// too large for its format, or a file that cannot be written.
-pub fn write(path: &Path, mesh: &Mesh, options: &MeshOptions) -> Result<(), Error> {
+pub fn write(path: &Path, mesh: &Mesh, options: &WriteOptions) -> Result<(), Error> {
     let encode = encoder(path)?;
     let up = if export::extension(path) == "glb" { UpAxis::YUp } else { options.up.unwrap_or_default() };
     mesh.check().map_err(|reason| Error::Geometry { path: path.to_path_buf(), reason })?;
@@ -306,7 +306,7 @@ pub(crate) mod tests {
 
     fn write_in(folder: &Path, name: &str, mesh: &Mesh, up: Option<UpAxis>) -> PathBuf {
         let path = folder.join(name);
-        write(&path, mesh, &MeshOptions { up }).unwrap();
+        write(&path, mesh, &WriteOptions { up }).unwrap();
         path
     }
 
@@ -509,7 +509,7 @@ pub(crate) mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.stl");
         let refused = |mesh: Mesh| {
-            let error = write(&path, &mesh, &MeshOptions::default()).unwrap_err().to_string();
+            let error = write(&path, &mesh, &WriteOptions::default()).unwrap_err().to_string();
             assert!(error.contains("m.stl") && fs::read_dir(folder.path()).unwrap().next().is_none(), "{error}");
             error
         };
@@ -525,7 +525,7 @@ pub(crate) mod tests {
     #[test]
     fn unknown_extensions_name_the_known_ones() {
         for name in ["mesh.vtk", "mesh", ".ply"] {
-            let error = write(Path::new(name), &octahedron(), &MeshOptions::default()).unwrap_err().to_string();
+            let error = write(Path::new(name), &octahedron(), &WriteOptions::default()).unwrap_err().to_string();
             assert!(error.contains(name) && error.contains(".ply, .obj, .stl or .glb"), "{error}");
         }
     }
@@ -536,7 +536,7 @@ pub(crate) mod tests {
         let taken = folder.path().join("taken.ply");
         fs::create_dir(&taken).unwrap();
         for path in [folder.path().join("no such folder").join("m.glb"), taken] {
-            let error = write(&path, &octahedron(), &MeshOptions::default()).unwrap_err().to_string();
+            let error = write(&path, &octahedron(), &WriteOptions::default()).unwrap_err().to_string();
             assert!(error.starts_with("cannot write") && error.contains(&*path.to_string_lossy()), "{error}");
         }
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);

@@ -284,7 +284,7 @@ impl PropertyAccess for Skipped {
 mod tests {
     use super::*;
     use crate::mesh::tests::meshes;
-    use crate::mesh::{self, MeshOptions};
+    use crate::mesh::{self, WriteOptions};
     use proptest::prelude::*;
     use std::fs;
 
@@ -336,7 +336,7 @@ mod tests {
         fn what_was_written_reads_back(mesh in meshes()) {
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("m.ply");
-            mesh::write(&path, &mesh, &MeshOptions::default()).unwrap();
+            mesh::write(&path, &mesh, &WriteOptions::default()).unwrap();
             let mut expected = mesh;
             if expected.normals.is_empty() && !expected.is_empty() {
                 expected.compute_normals();

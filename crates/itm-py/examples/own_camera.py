@@ -17,7 +17,7 @@ def camera(
     """Depth in millimetres, colour and time in seconds: what a sensor's own library gives."""
     for frame in itm_slam.synth(camera=intrinsics, frames=10):
         assert frame.colour is not None
-        yield (frame.depth * 1000).astype(np.uint16), frame.colour, frame.seconds
+        yield np.rint(frame.depth * 1000).astype(np.uint16), frame.colour, frame.seconds
 
 
 def main(picture: str) -> None:

@@ -72,9 +72,11 @@ pub(crate) fn of_slam(error: itm_slam::Error, file: Make) -> PyErr {
         E::NoPoses { .. } | E::NoInertialSensor { .. } | E::NoPoseOfFrame { .. } | E::NoSuchFrames { .. } => {
             recording(error.to_string())
         }
-        E::PosesAreGiven | E::NothingToTrackAgainst | E::ChangesNotTracked | E::NoColour { .. } => {
-            SettingsError::new_err(error.to_string())
-        }
+        E::PosesAreGiven
+        | E::NothingToTrackAgainst
+        | E::ChangesNotTracked
+        | E::NeedsVoxels { .. }
+        | E::NoColour { .. } => SettingsError::new_err(error.to_string()),
         E::Relocaliser(_)
         | E::SavedState { .. }
         | E::OtherMap { .. }
@@ -85,6 +87,8 @@ pub(crate) fn of_slam(error: itm_slam::Error, file: Make) -> PyErr {
         | E::TwoSubmapPoses { .. }
         | E::SubmapPose { .. }
         | E::SubmapOutOfReach { .. } => map(error.to_string()),
+        // Whatever else concerns what was opened.
+        _ => map(error.to_string()),
     }
 }
 

@@ -11,7 +11,7 @@ use crate::arrays;
 #[pyclass(module = "itm_slam", frozen)]
 pub(crate) struct Frame {
     pub(crate) frame: itm_core::Frame,
-    calibration: itm_core::Calibration,
+    pub(crate) calibration: itm_core::Calibration,
     depth: PyOnceLock<Py<PyArray2<f32>>>,
     raw_depth: PyOnceLock<Py<PyArray2<u16>>>,
     colour: PyOnceLock<Py<PyArray3<u8>>>,

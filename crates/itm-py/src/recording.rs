@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 use itm_io::recording::{self as files, Format, OpenOptions, ReadAhead, RecordingInfo, Topics};
 use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::PyMapping;
 
 use crate::arrays::describe;
 use crate::calibration::Calibration;
@@ -40,11 +40,12 @@ pub(crate) fn open(
 
 /// Topics from `{"depth": "/camera/depth"}`, or from the program's `depth=/camera/depth`.
 fn topics_of(given: &Bound<'_, PyAny>) -> PyResult<Topics> {
-    let text = if let Ok(dict) = given.cast::<PyDict>() {
-        let pair = |(key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
-            Ok(format!("{}={}", key.extract::<String>()?, value.extract::<String>()?))
+    let text = if let Ok(mapping) = given.cast::<PyMapping>() {
+        let pair = |item: Bound<'_, PyAny>| {
+            let (key, value): (String, String) = item.extract()?;
+            Ok(format!("{key}={value}"))
         };
-        dict.iter().map(pair).collect::<PyResult<Vec<_>>>()?.join(",")
+        mapping.items()?.iter().map(pair).collect::<PyResult<Vec<_>>>()?.join(",")
     } else if let Ok(text) = given.extract::<String>() {
         text
     } else {

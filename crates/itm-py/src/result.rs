@@ -226,6 +226,7 @@ impl Happening {
             H::ClosureAccepted { .. } => "closure-accepted",
             H::ClosureRefused { .. } => "closure-refused",
             H::Optimised(_) => "optimised",
+            _ => "other",
         }
     }
 
@@ -273,6 +274,7 @@ impl Happening {
                 dict.set_item("cost", (cost[0], cost[1]))?;
                 dict.set_item("doubted", doubted)?;
             }
+            _ => {}
         }
         Ok(dict)
     }

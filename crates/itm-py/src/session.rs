@@ -6,7 +6,7 @@ use std::thread::{self, ThreadId};
 use std::time::Instant;
 
 use itm_core::surfel::cloud_of_surfels;
-use itm_core::{DepthConversion, Se3, Settings};
+use itm_core::{Se3, Settings};
 use itm_io::map_file::MapReader;
 use itm_io::recording::nominal_timestamp;
 use itm_slam::{Device, Poses, SavedSession, SessionOptions, Shading, Slam, Start};
@@ -138,27 +138,56 @@ impl Session {
         mesh?.map_err(|error| errors::of_slam(error, errors::map))
     }
 
-    /// A frame from what `process` was given.
+    /// A frame from what `process` was given; the index, and where none was given the time, are still to be the session's.
     fn frame(
         &self,
         depth: &Bound<'_, PyAny>,
         colour: Option<&Bound<'_, PyAny>>,
         timestamp: Option<&Bound<'_, PyAny>>,
-    ) -> PyResult<itm_core::Frame> {
+    ) -> PyResult<Pushed> {
         if let Ok(frame) = depth.cast::<Frame>() {
             if colour.is_some() || timestamp.is_some() {
                 return Err(PyTypeError::new_err(
                     "a Frame has its own colour and timestamp: give none beside it, or give its arrays",
                 ));
             }
-            return Ok(frame.get().frame.clone());
+            let frame = frame.get();
+            let fits = frame.calibration.depth_conversion == self.calibration.depth_conversion;
+            if !fits && matches!(frame.frame.depth, itm_core::DepthImage::Raw(_)) {
+                return Err(PyValueError::new_err(
+                    "the frame's depth has another unit than the session's calibration says: make the session of the recording's \
+                     calibration, or give the frame's arrays (depth is in metres)",
+                ));
+            }
+            return Ok(Pushed::Frame(frame.frame.clone()));
         }
         let depth_image = arrays::depth(depth, &self.calibration)?;
         let colour = colour.map(|colour| arrays::colour(colour, &self.calibration)).transpose()?;
         let timestamp = timestamp.map(arrays::timestamp).transpose()?;
-        let index = self.with(depth.py(), |slam| slam.frames())?;
-        let nominal = || nominal_timestamp(u32::try_from(index).unwrap_or(u32::MAX));
-        Ok(itm_core::Frame::new(index, timestamp.unwrap_or_else(nominal), depth_image, colour))
+        Ok(Pushed::Arrays { depth: depth_image, colour, timestamp })
+    }
+}
+
+/// A frame as it was given.
+enum Pushed {
+    Frame(itm_core::Frame),
+    Arrays {
+        depth: itm_core::DepthImage,
+        colour: Option<itm_core::ColourImage>,
+        timestamp: Option<itm_core::Timestamp>,
+    },
+}
+
+impl Pushed {
+    /// With what the session says where nothing was: the number of frames so far.
+    fn into_frame(self, index: u64) -> itm_core::Frame {
+        match self {
+            Self::Frame(frame) => frame,
+            Self::Arrays { depth, colour, timestamp } => {
+                let nominal = || nominal_timestamp(u32::try_from(index).unwrap_or(u32::MAX));
+                itm_core::Frame::new(index, timestamp.unwrap_or_else(nominal), depth, colour)
+            }
+        }
     }
 }
 
@@ -195,7 +224,8 @@ impl Session {
         })
     }
 
-    /// Starts a new session in a saved map, with the map's own settings where settings, as of Session, do not say otherwise.
+    /// Starts a new session in a saved map. Its own settings hold where a dict or keywords do not say otherwise; a TOML file, or
+    /// its text, stands for all of them.
     /// pose is where the first frame's camera is, or nearly; without one it is found by the map's keyframes.
     #[staticmethod]
     #[pyo3(signature = (path, calibration, settings=None, *, pose=None, **more))]
@@ -243,6 +273,7 @@ impl Session {
         let frame = self.frame(depth, colour, timestamp)?;
         let (result, total_ms) = self.with(py, |slam| {
             let started = Instant::now();
+            let frame = frame.into_frame(slam.frames());
             let result = match pose {
                 Some(pose) => slam.place(&frame, &pose),
                 None => slam.process(&frame),
@@ -253,7 +284,7 @@ impl Session {
         Ok(FrameResult::new(result, total_ms))
     }
 
-    /// A picture of the map, HxWx4 uint8; the fourth is 0 where nothing is seen. kind is 'colour', 'grey', 'normals', 'depth' or
+    /// A picture of the map, HxWx4 uint8; the fourth is 0 where nothing is seen. kind is 'colour', 'phong', 'grey', 'normals', 'depth' or
     /// 'confidence'; pose is world_from_camera (by default the last one), camera the Intrinsics (by default the depth camera).
     #[pyo3(signature = (pose=None, kind="colour", *, camera=None, max_depth_m=None))]
     fn render<'py>(
@@ -267,12 +298,13 @@ impl Session {
         let shading = match kind {
             "colour" => Shading::Colour,
             "grey" => Shading::Grey,
+            "phong" => Shading::Phong,
             "normals" => Shading::Normals,
             "depth" => Shading::Depth,
             "confidence" => Shading::Confidence,
             other => {
                 return Err(PyValueError::new_err(format!(
-                    "kind must be 'colour', 'grey', 'normals', 'depth' or 'confidence', not '{other}'"
+                    "kind must be 'colour', 'phong', 'grey', 'normals', 'depth' or 'confidence', not '{other}'"
                 )));
             }
         };
@@ -283,9 +315,7 @@ impl Session {
             )));
         }
         let camera = camera.map_or(self.calibration.depth, |camera| camera.0);
-        itm_core::Calibration::registered(camera, DepthConversion::MILLIMETRES)
-            .validate()
-            .map_err(|error| errors::calibration(error.to_string()))?;
+        camera.validate("picture").map_err(|error| errors::calibration(error.to_string()))?;
         let pose = pose.map(|pose| arrays::pose(pose, "pose")).transpose()?;
         let picture = self.with(py, |slam| {
             let last = || slam.corrected_trajectory().poses().last().map(|pose| pose.world_from_camera);

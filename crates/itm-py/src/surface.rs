@@ -69,7 +69,7 @@ impl Mesh {
     /// Writes the mesh as PLY, OBJ, STL or GLB, by the name's ending; up is 'y-down' (as it is), 'y-up' or 'z-up'.
     #[pyo3(signature = (path, up=None))]
     fn save(&self, py: Python<'_>, path: PathBuf, up: Option<&str>) -> PyResult<()> {
-        let options = itm_io::mesh::MeshOptions { up: up_axis(up)? };
+        let options = itm_io::mesh::WriteOptions { up: up_axis(up)? };
         let written = py.detach(|| itm_io::mesh::write(&path, &self.0, &options));
         written.map_err(|error| errors::of_io(&error, errors::export))
     }

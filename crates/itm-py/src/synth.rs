@@ -55,7 +55,10 @@ pub(crate) fn synth<'py>(
         spec.duration_s = duration_s;
         spec.frames = (duration_s * spec.frame_rate_hz).round() as u32;
     }
-    spec.frames = frames.unwrap_or(spec.frames).max(1);
+    spec.frames = frames.unwrap_or(spec.frames);
+    if spec.frames == 0 {
+        return Err(PyValueError::new_err("frames must be at least 1, not 0"));
+    }
     if there_and_back {
         spec = spec.there_and_back();
     }

@@ -5,6 +5,7 @@ use thiserror::Error;
 
 /// Why a relocaliser cannot do what is asked.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
 pub enum Error {
     /// A setting out of its range.
     #[error(transparent)]

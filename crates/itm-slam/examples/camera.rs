@@ -42,14 +42,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         if !voxels.push(frame.clone()) || !surfels.push(frame) {
             break;
         }
-        for result in voxels.results().try_iter().filter(|result| result.index % 30 == 0) {
-            println!("frame {}: {:?} at {:?}", result.index, result.status, result.world_from_camera);
+        for result in voxels.results().try_iter() {
+            let result = result?;
+            if result.index % 30 == 0 {
+                println!("frame {}: {:?} at {:?}", result.index, result.status, result.world_from_camera);
+            }
         }
         std::thread::sleep(due.saturating_duration_since(Instant::now()));
     }
     for (name, running) in [("voxels", voxels), ("surfels", surfels)] {
         let dropped = running.dropped();
-        let slam = running.stop()?;
+        let slam = running.stop();
         println!("{name}: {} frames have a pose, {dropped} were dropped", slam.trajectory().len());
     }
     Ok(())

@@ -29,10 +29,10 @@ pub enum WhenLate {
 /// for frame in camera() {
 ///     running.push(frame);
 ///     for result in running.results().try_iter() {
-///         println!("{:?}", result.world_from_camera);
+///         println!("{:?}", result?.world_from_camera);
 ///     }
 /// }
-/// let mut slam = running.stop()?;
+/// let mut slam = running.stop();
 /// # slam.finish()?;
 /// # Ok(())
 /// # }
@@ -40,8 +40,9 @@ pub enum WhenLate {
 #[derive(Debug)]
 pub struct CameraLoop {
     slot: Arc<Slot>,
-    results: Receiver<FrameResult>,
-    thread: JoinHandle<Result<Slam, Error>>,
+    results: Receiver<Result<FrameResult, Error>>,
+    /// There until it is stopped.
+    thread: Option<JoinHandle<Slam>>,
     when_late: WhenLate,
 }
 
@@ -112,16 +113,17 @@ impl Drop for EndsWith {
 
 impl CameraLoop {
     /// Starts the thread.
+    #[must_use = "dropping it ends it"]
     pub fn start(slam: Slam, when_late: WhenLate) -> Self {
         let slot = Arc::new(Slot::default());
         let (sender, results) = channel();
         let of_thread = EndsWith(Arc::clone(&slot));
         let thread = std::thread::spawn(move || run(slam, &of_thread.0, &sender));
-        Self { slot, results, thread, when_late }
+        Self { slot, results, thread: Some(thread), when_late }
     }
 
-    /// Hands a frame over. Whether it was taken: after [`Stopper::stop`], or once a frame could not be processed, it is not;
-    /// [`CameraLoop::stop`] says why.
+    /// Hands a frame over. Whether it was taken: after [`Stopper::stop`], or once the device has failed, it is not; the last of
+    /// [`CameraLoop::results`] says why.
     pub fn push(&self, frame: Frame) -> bool {
         let mut waiting = self.slot.lock();
         if self.when_late == WhenLate::Wait {
@@ -142,8 +144,9 @@ impl CameraLoop {
         true
     }
 
-    /// What became of the frames, in their order.
-    pub fn results(&self) -> &Receiver<FrameResult> {
+    /// What became of the frames, in their order. A frame whose images have another size than the calibration's is an error, and
+    /// the next one is gone on with; any other error is the last.
+    pub fn results(&self) -> &Receiver<Result<FrameResult, Error>> {
         &self.results
     }
 
@@ -157,24 +160,35 @@ impl CameraLoop {
         Stopper(Arc::clone(&self.slot))
     }
 
-    /// Waits for the frames that were taken, and gives the session back.
-    ///
-    /// # Errors
-    /// Where a frame could not be processed; see [`Slam::process`].
-    pub fn stop(self) -> Result<Slam, Error> {
+    /// Waits for the frames that were taken, and gives the session back with what was done so far, whatever failed.
+    pub fn stop(mut self) -> Slam {
         self.slot.end(false);
-        match self.thread.join() {
-            Ok(done) => done,
-            Err(panic) => std::panic::resume_unwind(panic),
+        let thread = self.thread.take().expect("it is stopped once, by value");
+        thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    }
+}
+
+/// Without [`CameraLoop::stop`] the frame that waits is not processed, and the session is gone once the thread has ended: it is
+/// waited for.
+impl Drop for CameraLoop {
+    fn drop(&mut self) {
+        self.slot.end(true);
+        if let Some(thread) = self.thread.take() {
+            // Where it panicked, that was said as it did.
+            let _panicked = thread.join();
         }
     }
 }
 
-fn run(mut slam: Slam, slot: &Slot, results: &Sender<FrameResult>) -> Result<Slam, Error> {
+fn run(mut slam: Slam, slot: &Slot, results: &Sender<Result<FrameResult, Error>>) -> Slam {
     while let Some(frame) = slot.take() {
-        let result = slam.process(&frame)?;
+        let result = slam.process(&frame);
+        let goes_on = matches!(&result, Ok(_) | Err(Error::Gpu(itm_gpu::Error::ImageSize { .. })));
         // Whoever does not ask for results need not hear of them.
         let _unheard = results.send(result);
+        if !goes_on {
+            break;
+        }
     }
-    Ok(slam)
+    slam
 }

@@ -56,7 +56,7 @@ pub fn mesh_in_chunks(
 ///
 /// # Errors
 /// As [`mesh_in_chunks`].
-pub fn mesh_blocks(
+pub(crate) fn mesh_blocks(
     device: &Device,
     source: &mut dyn BlockSource,
     keys: &[BlockKey],

@@ -15,6 +15,7 @@ const COLOUR_WEIGHT: f32 = 1.0;
 
 /// Why a mesh could not be decimated.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
 pub enum DecimateError {
     /// A ratio that is no share of triangles.
     #[error("the ratio of triangles to keep must be above 0 and at most 1, found {ratio}")]

@@ -4,6 +4,7 @@ use thiserror::Error;
 
 /// What can go wrong in a run.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum Error {
     /// On the device.
     #[error(transparent)]
@@ -105,6 +106,12 @@ pub enum Error {
     /// What changed was asked for, and nobody kept it.
     #[error("what changed since a frame is known only where map.track_changes is on")]
     ChangesNotTracked,
+    /// What a map of surfels does not have was asked for.
+    #[error("a map of surfels has no {what}: that takes one of voxels (mode 'basic' or 'loop-closure')")]
+    NeedsVoxels {
+        /// What was asked for.
+        what: &'static str,
+    },
     /// Given poses were asked for, and the recording has none.
     #[error("the recording '{recording}' has no poses, so it cannot be fused with given ones")]
     NoPoses {

@@ -31,6 +31,7 @@ pub enum FrameStatus {
 
 /// Something that a user should know.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Notice {
     /// New blocks found no room, and wait for it.
     Waiting {

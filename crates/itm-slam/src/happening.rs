@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Something that happened with a frame.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Happening {
     /// The frame's view is remembered, to find the place again.
     Keyframe {

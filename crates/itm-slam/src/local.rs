@@ -83,7 +83,7 @@ impl Local {
     ) -> Result<Self, Error> {
         let image = RaycastImage::new(device, calibration.depth)?;
         let list = |range: &Option<Range<usize>>| {
-            range.as_ref().map(|range| PointList::new(device, &image, range.start, range.end))
+            range.as_ref().map(|range| PointList::spaced(device, &image, range.start, range.end, needs.every))
         };
         Ok(Self {
             submap,
@@ -202,16 +202,18 @@ pub(crate) struct Needs {
     pub(crate) levels: usize,
     /// Levels of the point lists, by [`Against`].
     pub(crate) lists: [Option<Range<usize>>; 2],
+    /// Of their points only every so many along both axes.
+    pub(crate) every: u32,
 }
 
 impl Needs {
     /// Where poses are given.
     pub(crate) fn nothing() -> Self {
-        Self { levels: 1, lists: [None, None] }
+        Self { levels: 1, lists: [None, None], every: 1 }
     }
 
     pub(crate) fn of(tracker: &Tracker) -> Self {
-        let mut needs = Self { levels: CHECK_LEVELS, lists: [None, None] };
+        let mut needs = Self { levels: CHECK_LEVELS, lists: [None, None], every: tracker.every_point() };
         for level in tracker.plans(Age::default()).iter().flat_map(|plan| &plan.levels) {
             needs.levels = needs.levels.max(level.request.level + 1);
             for (range, term) in needs.lists.iter_mut().zip(&level.request.colour) {

@@ -27,7 +27,7 @@ impl Slam {
     /// A picture of the map as a camera sees it from a pose, up to `max_depth_m`. Pixels that show nothing have alpha 0.
     ///
     /// # Errors
-    /// Where the view reaches over more blocks than the device can index, or the device fails.
+    /// Where the camera is none, the view reaches over more blocks than the device can index, or the device fails.
     pub fn render(
         &mut self,
         camera: &Intrinsics,
@@ -35,6 +35,7 @@ impl Slam {
         max_depth_m: f32,
         shading: Shading,
     ) -> Result<ColourImage, Error> {
+        check_camera(camera)?;
         let scale = self.scale(max_depth_m);
         if let Some(surfels) = &self.mapper.surfels {
             let (image, pixels) = surfels.cast(&self.poses_of_submaps(), camera, world_from_camera, max_depth_m)?;
@@ -64,11 +65,10 @@ impl Slam {
     /// [`Slam::render`] show them all, as one.
     ///
     /// # Errors
-    /// Where the view reaches over more blocks than the device can index, or the device fails.
-    ///
-    /// # Panics
-    /// If the canvas has another size than the camera.
+    /// Where the canvas has another size than the camera, the view reaches over more blocks than the device can index, or the
+    /// device fails.
     pub fn paint(&mut self, look: &Look, canvas: &Canvas) -> Result<(), Error> {
+        check_canvas(&look.camera, canvas)?;
         let Look { camera, world_from_camera, max_depth_m, shading, submap } = look;
         let scale = self.scale(*max_depth_m);
         let mut recorder = Recorder::new(&self.device);
@@ -105,21 +105,23 @@ impl Slam {
     ///
     /// # Errors
     /// As [`Slam::paint`].
-    ///
-    /// # Panics
-    /// If the canvas has another size than the camera.
     pub fn paint_whole(&mut self, look: &Look, canvas: &Canvas) -> Result<(), Error> {
+        check_canvas(&look.camera, canvas)?;
         if self.paints_whole(look.submap) {
             return self.paint(look, canvas);
         }
         let (device, scale) = (self.device.clone(), self.scale(look.max_depth_m));
+        // Of one submap alone, that one in its own frame.
+        let alone = look.submap.filter(|_| self.submaps().len() > 1);
+        let world_from_map = alone.and_then(|number| self.submaps().get(usize::from(number)));
+        let world_from_map = world_from_map.map(|submap| submap.world_from_submap).unwrap_or_default();
         let paint = |source: &mut dyn BlockSource| {
-            let mut views = MapViews::new(&device, source.layout(), look.submap.unwrap_or(0), 1)?;
-            views.look(source, &look.camera, &look.world_from_camera, look.max_depth_m)?;
-            views.paint(look.shading, &scale, canvas);
+            let mut views = MapViews::new(&device, source.layout(), alone.unwrap_or(0), 1)?;
+            views.look(source, &look.camera, &(world_from_map.inverse() * look.world_from_camera), look.max_depth_m)?;
+            views.paint_placed(&world_from_map, look.shading, &scale, canvas);
             Ok(())
         };
-        if self.submaps().len() > 1 {
+        if self.submaps().len() > 1 && alone.is_none() {
             return self.with_combined(|combined| paint(combined));
         }
         match self.mapper.live()? {
@@ -138,11 +140,9 @@ impl Slam {
     /// camera's size: no ray is cast for it. `false`, and an empty canvas, where there is none yet.
     ///
     /// # Errors
-    /// Where the device fails.
-    ///
-    /// # Panics
-    /// If the canvas has another size than the depth camera.
+    /// Where the canvas has another size than the depth camera, or the device fails.
     pub fn paint_model(&mut self, shading: Shading, canvas: &Canvas) -> Result<bool, Error> {
+        check_canvas(&self.calibration.depth, canvas)?;
         let mut recorder = Recorder::new(&self.device);
         canvas.clear(&mut recorder);
         if let Some(pose) = &self.primary.submap_from_model {
@@ -169,6 +169,21 @@ impl Slam {
     fn scale(&self, max_depth_m: f32) -> Scale {
         Scale { depth_m: [0.0, max_depth_m], confidence: crate::views::full_confidence(&self.settings) }
     }
+}
+
+/// A canvas shows what a camera as large as it sees, and the camera has to be one.
+fn check_canvas(camera: &Intrinsics, canvas: &Canvas) -> Result<(), Error> {
+    check_camera(camera)?;
+    let (width, height) = canvas.size();
+    if (width, height) == (camera.width, camera.height) {
+        return Ok(());
+    }
+    let expected = (camera.width, camera.height);
+    Err(itm_gpu::Error::ImageSize { image: "canvas", expected, found: (width, height) }.into())
+}
+
+pub(crate) fn check_camera(camera: &Intrinsics) -> Result<(), Error> {
+    Ok(camera.validate("picture")?)
 }
 
 /// An image of a whole map, in the world's frame.

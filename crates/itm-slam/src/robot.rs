@@ -100,7 +100,7 @@ impl Slam {
     /// ```
     ///
     /// # Errors
-    /// Where the device fails or the host's store cannot be read.
+    /// Where the map is one of surfels, the device fails or the host's store cannot be read.
     pub fn distances(&mut self, points: &[Vec3]) -> Result<Vec<Option<f32>>, Error> {
         Ok(self.samples(points)?.into_iter().map(|sample| Some(sample?.distance_m)).collect())
     }
@@ -126,6 +126,7 @@ impl Slam {
     /// # Errors
     /// As [`Slam::distances`].
     pub fn samples(&mut self, points: &[Vec3]) -> Result<Vec<Option<Sample>>, Error> {
+        self.check_voxels("distances")?;
         self.ask(|questions, slam| {
             let poses = slam.submap_poses();
             if let [(submap, _)] = poses[..] {
@@ -161,8 +162,9 @@ impl Slam {
     /// All blocks of the map, wherever they lie, in the order of their packed keys. Waits.
     ///
     /// # Errors
-    /// Where the device fails.
+    /// Where the map is one of surfels, or the device fails.
     pub fn blocks(&mut self) -> Result<Vec<BlockKey>, Error> {
+        self.check_voxels("blocks")?;
         self.mapper.read_moved()?;
         Ok(self.mapper.live_map()?.keys())
     }
@@ -177,8 +179,9 @@ impl Slam {
     /// once a frame changes them.
     ///
     /// # Errors
-    /// Where `map.track_changes` is off, or the device fails.
+    /// Where the map is one of surfels, `map.track_changes` is off, or the device fails.
     pub fn changed_since(&mut self, frames: u64) -> Result<Vec<BlockKey>, Error> {
+        self.check_voxels("blocks")?;
         if !self.settings.map.track_changes {
             return Err(Error::ChangesNotTracked);
         }
@@ -216,13 +219,18 @@ impl Slam {
     /// ```
     ///
     /// # Errors
-    /// Where the device fails, the host's store cannot be read, or there are more vertices than 32 bits can number.
+    /// Where the map is one of surfels, the device fails, the host's store cannot be read, or there are more vertices than 32 bits can number.
     pub fn mesh_of(&mut self, keys: &[BlockKey]) -> Result<Mesh, Error> {
+        self.check_voxels("blocks")?;
         self.ask(|questions, slam| {
             let mut blocks = slam.mapper.live_map()?;
             let options = MeshOptions::default();
             mesh_some(&slam.extract, &mut questions.part, &mut blocks, keys, &options, &mut |_, _| ())
         })
+    }
+
+    fn check_voxels(&self, what: &'static str) -> Result<(), Error> {
+        if self.mapper.surfels.is_some() { Err(Error::NeedsVoxels { what }) } else { Ok(()) }
     }
 
     fn ask<T>(&mut self, answer: impl FnOnce(&mut Questions, &Self) -> Result<T, Error>) -> Result<T, Error> {

@@ -59,6 +59,7 @@ struct State {
 
 /// Of a saved session, what is to be known before a recording is opened for it.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct SavedSession {
     /// Its settings.
     pub settings: Settings,

@@ -1,5 +1,6 @@
 //! Running over a recording as a stream of events.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -25,6 +26,13 @@ pub struct SessionOptions {
     pub start: Start,
 }
 
+/// Default settings, tracked poses, all frames, an empty map.
+impl Default for SessionOptions {
+    fn default() -> Self {
+        Self { settings: Settings::default(), poses: Poses::Tracked, frames: None, start: Start::Afresh }
+    }
+}
+
 /// What a run starts from.
 #[derive(Clone, Debug, Default)]
 pub enum Start {
@@ -46,6 +54,7 @@ pub enum Start {
 /// What happens in a run, in order.
 #[derive(Debug)]
 #[expect(clippy::large_enum_variant, reason = "an event is moved once, and nearly all of them are frames")]
+#[non_exhaustive]
 pub enum Event {
     /// A frame was processed.
     Frame {
@@ -69,6 +78,7 @@ pub enum Event {
 
 /// A run in numbers.
 #[derive(Clone, Debug, Default)]
+#[non_exhaustive]
 pub struct Summary {
     /// Frames that were asked for.
     pub frames: usize,
@@ -90,7 +100,35 @@ pub struct Summary {
     pub error: Option<String>,
 }
 
-/// A run over a recording: an iterator over its events. Frames are decoded ahead on another thread.
+/// What became of a frame.
+#[derive(Clone, Copy, Debug, Default)]
+struct Met {
+    posed: bool,
+    poor: bool,
+    lost: bool,
+    skipped: bool,
+}
+
+/// A run over a recording: an iterator over its events. Frames are decoded ahead on another thread. (The class of that name in
+/// the Python package is [`Slam`]: its caller iterates.)
+///
+/// ```no_run
+/// use itm_slam::{Device, Event, Session, SessionOptions, io};
+/// # fn main() -> Result<(), itm_slam::Error> {
+/// let recording = io::recording::open("rgbd_dataset_freiburg1_desk".as_ref(), &io::recording::OpenOptions::default())?;
+/// let mut session = Session::new(&Device::open("auto")?, recording, &SessionOptions::default())?;
+/// for event in &mut session {
+///     match event {
+///         Event::Frame { result, .. } => println!("{}: {:?}", result.index, result.world_from_camera),
+///         Event::Finished(summary) => println!("{} of {} frames have a pose", summary.posed, summary.frames),
+///         _ => {}
+///     }
+/// }
+/// let mut slam = session.into_slam();
+/// slam.save("desk.itm".as_ref())?;
+/// # Ok(())
+/// # }
+/// ```
 pub struct Session {
     slam: Slam,
     info: RecordingInfo,
@@ -101,6 +139,8 @@ pub struct Session {
     /// The last frame that was processed.
     frame: Option<Frame>,
     summary: Summary,
+    /// What became of each frame, by its place, when it was last processed.
+    met: BTreeMap<usize, Met>,
     started: Option<Instant>,
     finished: bool,
     stop: Arc<AtomicBool>,
@@ -148,6 +188,7 @@ impl Session {
             range,
             frame: None,
             summary,
+            met: BTreeMap::new(),
             started: None,
             finished: false,
             stop: Arc::default(),
@@ -205,6 +246,11 @@ impl Session {
         &self.slam
     }
 
+    /// The core, without the recording.
+    pub fn into_slam(self) -> Slam {
+        self.slam
+    }
+
     /// The core, for meshes and pictures too.
     pub fn slam_mut(&mut self) -> &mut Slam {
         &mut self.slam
@@ -221,7 +267,7 @@ impl Session {
     }
 
     /// Goes on with another frame of the run, forwards or back: the map stays, and the camera is looked for from where it was
-    /// last. What was finished is so no longer.
+    /// last. What was finished, or stopped, is so no longer.
     ///
     /// # Errors
     /// Where the frame is not one of the run's.
@@ -237,6 +283,8 @@ impl Session {
         self.frames.restart(frame..self.range.end);
         self.next = frame;
         self.finished = false;
+        self.stop.store(false, Ordering::Relaxed);
+        self.summary.stopped = false;
         self.slam.interrupt();
         Ok(())
     }
@@ -252,6 +300,25 @@ impl Session {
     /// Where the device fails.
     pub fn mesh(&mut self, progress: &mut dyn FnMut(u32, u32)) -> Result<Mesh, Error> {
         self.slam.mesh(progress)
+    }
+
+    fn skipped(&mut self, index: usize, reason: String) -> Event {
+        self.meet(index, Met { skipped: true, ..Met::default() });
+        Event::Skipped { index, reason }
+    }
+
+    /// Counts what became of a frame, in place of what became of it before.
+    fn meet(&mut self, index: usize, met: Met) {
+        let before = self.met.insert(index, met).unwrap_or_default();
+        let Summary { posed, poor, lost, skipped, .. } = &mut self.summary;
+        for (count, is, was) in [
+            (posed, met.posed, before.posed),
+            (poor, met.poor, before.poor),
+            (lost, met.lost, before.lost),
+            (skipped, met.skipped, before.skipped),
+        ] {
+            *count = *count + usize::from(is) - usize::from(was);
+        }
     }
 
     fn finish(&mut self, error: Option<String>) -> Event {
@@ -380,13 +447,9 @@ impl Iterator for Session {
         let Some(frame) = self.frames.next() else { return Some(self.finish(None)) };
         let index = self.next;
         self.next += 1;
-        let skipped = |summary: &mut Summary, reason: String| {
-            summary.skipped += 1;
-            Some(Event::Skipped { index, reason })
-        };
         let frame = match frame {
             Ok(frame) => frame,
-            Err(error) => return skipped(&mut self.summary, error.to_string()),
+            Err(error) => return Some(self.skipped(index, error.to_string())),
         };
         let started = Instant::now();
         self.started.get_or_insert(started);
@@ -394,12 +457,18 @@ impl Iterator for Session {
         self.frame = Some(frame);
         match processed {
             Ok(result) => {
-                self.summary.posed += usize::from(result.world_from_camera.is_some());
-                self.summary.poor += usize::from(matches!(result.status, FrameStatus::Poor { .. }));
-                self.summary.lost += usize::from(matches!(result.status, FrameStatus::Lost { .. }));
+                self.meet(
+                    index,
+                    Met {
+                        posed: result.world_from_camera.is_some(),
+                        poor: matches!(result.status, FrameStatus::Poor { .. }),
+                        lost: matches!(result.status, FrameStatus::Lost { .. }),
+                        skipped: false,
+                    },
+                );
                 Some(Event::Frame { result, total_ms: started.elapsed().as_secs_f64() * 1e3 })
             }
-            Err(error @ Error::Gpu(itm_gpu::Error::ImageSize { .. })) => skipped(&mut self.summary, error.to_string()),
+            Err(error @ Error::Gpu(itm_gpu::Error::ImageSize { .. })) => Some(self.skipped(index, error.to_string())),
             Err(error) => {
                 // The device failed: what was done so far is kept.
                 self.summary.stopped = true;

@@ -246,7 +246,8 @@ impl Slam {
         let view_times = self.look(frame)?;
         let report = self.mapper.consume()?.map(|late| self.report(late));
         self.primary.motion.sense(frame);
-        let located = if world_from_camera.is_finite() {
+        let pose = Se3::try_from_quaternion(world_from_camera.rotation, world_from_camera.translation);
+        let located = if let Ok(world_from_camera) = &pose {
             let pose = self.to_primary(world_from_camera);
             Located { pose: Some(pose), fuse: true, ..Located::without(FrameStatus::Placed) }
         } else {
@@ -472,7 +473,7 @@ impl Slam {
         let Located { mut status, tracked, mut pose, mut fuse, mut happenings } = located;
         // Where the map is only looked at.
         fuse &= self.settings.map.fuse;
-        self.next_frame = frame.index + 1;
+        self.next_frame = frame.index.saturating_add(1);
         let mut fused = false;
         if let Some(at) = pose
             && self.atlas.is_some()

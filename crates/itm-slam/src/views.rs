@@ -10,6 +10,7 @@ use itm_gpu::{BlockMap, Canvas, Device, MapLayout, RaycastImage, Recorder};
 
 use crate::Error;
 use crate::caster::Caster;
+use crate::painting::check_camera;
 use crate::source::{BlockSource, upload};
 
 /// Looks at one submap of a map from any pose, with any camera.
@@ -52,8 +53,8 @@ impl MapViews {
     /// has to be the same one, unchanged, in all calls.
     ///
     /// # Errors
-    /// Where the source cannot be read, the view reaches over more blocks than the device can index or hold, or the device
-    /// fails.
+    /// Where the camera is none, the source cannot be read, the view reaches over more blocks than the device can index or hold,
+    /// or the device fails.
     pub fn look(
         &mut self,
         source: &mut dyn BlockSource,
@@ -61,6 +62,7 @@ impl MapViews {
         world_from_camera: &Se3,
         max_depth_m: f32,
     ) -> Result<(), Error> {
+        check_camera(camera)?;
         let before = self.current.take().map(|(image, _)| image).filter(|image| image.camera() == camera);
         let image = match before {
             Some(image) => image,
@@ -93,15 +95,13 @@ impl MapViews {
         Ok(self.render.run(&self.seen(image, pose), shading, scale)?)
     }
 
-    /// Paints the view onto a canvas of its camera's size, in place of what was there.
-    ///
-    /// # Panics
-    /// If the canvas has another size.
-    pub fn paint(&self, shading: Shading, scale: &Scale, canvas: &Canvas) {
+    /// Paints the view onto a canvas of its camera's size, in place of what was there, with the map where it lies in the world.
+    pub(crate) fn paint_placed(&self, world_from_map: &Se3, shading: Shading, scale: &Scale, canvas: &Canvas) {
         let mut recorder = Recorder::new(&self.device);
         canvas.clear(&mut recorder);
         if let Some((image, pose)) = &self.current {
-            self.render.paint(&mut recorder, &self.seen(image, pose), shading, scale, canvas);
+            let seen = Seen { world_from_map, ..self.seen(image, pose) };
+            self.render.paint(&mut recorder, &seen, shading, scale, canvas);
         }
         canvas.show(&mut recorder);
         let _untimed = recorder.submit();

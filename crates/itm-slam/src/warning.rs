@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 /// Something that was no use and was left out, so that a session could go on without it. A line of the log says the same.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Warning {
     /// A part of a map file.
     LeftOut {

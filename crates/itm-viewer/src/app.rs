@@ -8,7 +8,7 @@ use itm_slam::{Settings, Shading};
 
 use crate::action::{ACTIONS, Action};
 use crate::camera::OrbitCamera;
-use crate::dialog::{Chosen, Dialog, Purpose};
+use crate::dialog::{Chosen, Dialog, Purpose, With};
 use crate::engine::state::{Scene, State};
 use crate::engine::{CaptureKind, Command, Engine, Open, Wish};
 use crate::plots::Plotted;
@@ -104,8 +104,14 @@ pub(crate) struct Viewer {
     pub(crate) plotted: Plotted,
     /// The frame under the scrub bar's handle while it is dragged.
     pub(crate) scrubbed: Option<usize>,
-    /// What is open, by its name, to find out that something else is.
-    opened: Option<String>,
+    /// How often something was opened, to find out that something else is.
+    opened: u64,
+    /// Whether the keyboard belonged to a widget or a menu in the last frame: its Escape does not close the window.
+    typing: bool,
+    /// Whether the window was asked to close.
+    pub(crate) quits: bool,
+    /// Whether the window is to close once what was reconstructed is kept.
+    closing: bool,
 }
 
 impl Viewer {
@@ -125,15 +131,15 @@ impl Viewer {
             show_shortcuts: false,
             plotted: Plotted::default(),
             scrubbed: None,
-            opened: None,
+            opened: 0,
+            typing: false,
+            quits: false,
+            closing: false,
         }
     }
 
     /// Opens what lies at a path.
     pub(crate) fn open(&mut self, open: Open) {
-        self.recent.retain(|path| *path != open.path);
-        self.recent.insert(0, open.path.clone());
-        self.recent.truncate(RECENT);
         self.engine.send(Command::Open(Box::new(open)));
     }
 
@@ -146,6 +152,7 @@ impl Viewer {
     /// Draws the window into all of a [`Ui`].
     pub(crate) fn ui(&mut self, ui: &mut Ui) {
         let ctx = ui.ctx().clone();
+        self.close_when_kept(&ctx);
         self.notice_what_is_open();
         self.take_keys(&ctx);
         self.take_dropped_files(&ctx);
@@ -160,24 +167,44 @@ impl Viewer {
         egui::CentralPanel::default().frame(egui::Frame::NONE).show(ui, |ui| self.large_pane(ui));
         self.shortcut_sheet(&ctx);
         self.dialogs(&ctx);
+        if self.closing {
+            let notice = egui::Area::new(egui::Id::unique("closing")).order(egui::Order::Foreground);
+            notice.anchor(egui::Align2::CENTER_CENTER, egui::Vec2::ZERO).show(&ctx, |ui| {
+                egui::Frame::popup(ui.style()).show(ui, |ui| {
+                    ui.horizontal(|ui| {
+                        ui.spinner();
+                        ui.heading("Closing once what was reconstructed is kept");
+                    });
+                });
+            });
+        }
         self.wish();
     }
 
     /// What changes where something else was opened, or it has grown so that it can be looked at.
     fn notice_what_is_open(&mut self) {
         let state = self.engine.state();
-        let name = state.scene.name().map(ToOwned::to_owned);
-        if name != self.opened {
+        let (opened, path) = &state.opened;
+        if *opened != self.opened {
+            self.opened = *opened;
+            // The program may be started elsewhere the next time.
+            let path = std::path::absolute(path).unwrap_or_else(|_| path.clone());
+            self.recent.retain(|recent| *recent != path);
+            self.recent.insert(0, path);
+            self.recent.truncate(RECENT);
             if state.scene.has_map() {
                 self.settings = state.asked.clone();
                 self.settings_panel.set_settings(state.asked.clone());
             }
-            self.settings_panel.set_in_force(state.scene.has_map().then(|| state.asked.clone()));
+            // Nothing begins anew with a map, so that nothing waits for it.
+            self.settings_panel.set_in_force(state.scene.has_frames().then(|| state.asked.clone()));
             self.view.submap = None;
             self.view.placed = false;
             // A map is there to be looked around in.
             self.view.free = self.view.free || matches!(state.scene, Scene::Map { .. } | Scene::Results { .. });
-            self.opened = name;
+        }
+        if self.view.submap.is_some_and(|submap| usize::from(submap) >= state.submaps.len()) {
+            self.view.submap = None;
         }
         if !self.view.placed && self.view.free && state.bounds.is_some() {
             show_all(&mut self.view.camera, &state);
@@ -210,7 +237,11 @@ impl Viewer {
     }
 
     fn take_keys(&mut self, ctx: &Context) {
-        if self.dialog.is_some() || ctx.egui_wants_keyboard_input() {
+        // A widget has lost the keyboard, or a menu will be closed, by the same Escape that comes here.
+        let typing = ctx.egui_wants_keyboard_input() || egui::Popup::is_any_open(ctx);
+        let typed = std::mem::replace(&mut self.typing, typing || self.dialog.is_some());
+        let escapes = typed && ctx.input(|input| input.key_pressed(Key::Escape));
+        if self.typing || escapes {
             return;
         }
         if self.show_shortcuts && ctx.input_mut(|input| input.consume_key(Modifiers::NONE, Key::Escape)) {
@@ -224,11 +255,37 @@ impl Viewer {
         }
     }
 
+    /// Processes frames or not. The window shows it at once, though the frame at hand is ended first.
+    fn run(&mut self, run: bool) {
+        self.engine.state().running = run;
+        self.engine.send(Command::Run(run));
+    }
+
+    /// Keeps the window open, and alive, until the results are written.
+    fn close_when_kept(&mut self, ctx: &Context) {
+        if ctx.input(|input| input.viewport().close_requested()) && !self.closing {
+            self.closing = true;
+            self.dialog = None;
+            if !self.engine.begin_end() {
+                ctx.send_viewport_cmd(egui::ViewportCommand::CancelClose);
+            }
+        } else if self.closing {
+            if self.engine.begin_end() {
+                ctx.send_viewport_cmd(egui::ViewportCommand::Close);
+            } else {
+                ctx.send_viewport_cmd(egui::ViewportCommand::CancelClose);
+                ctx.request_repaint_after(std::time::Duration::from_millis(50));
+            }
+        }
+    }
+
     fn take_dropped_files(&mut self, ctx: &Context) {
         let dropped: Vec<PathBuf> =
             ctx.input(|input| input.raw.dropped_files.iter().map(|file| file.path().to_owned()).collect());
-        if let Some(path) = dropped.into_iter().next() {
-            self.open_dropped(path);
+        let Some(path) = dropped.into_iter().next() else { return };
+        match &mut self.dialog {
+            Some(dialog) => dialog.set_path(&path),
+            None => self.open_dropped(path),
         }
     }
 
@@ -280,14 +337,15 @@ impl Viewer {
         drop(state);
         match action {
             Action::Open => self.dialog = Some(Dialog::new(Purpose::Open, String::new())),
-            Action::RunOrPause => self.engine.send(Command::Run(!running)),
-            Action::Run => self.engine.send(Command::Run(true)),
+            Action::RunOrPause => self.run(!running),
+            Action::Run => self.run(true),
             Action::Step => self.engine.send(Command::Step),
-            Action::Fusion => self.engine.send(Command::Fuse(!fusing)),
-            Action::Reset => {
-                self.settings_panel.set_in_force(Some(self.settings.clone()));
-                self.engine.send(Command::Restart(Box::new(self.settings.clone())));
+            Action::Fusion => {
+                self.settings.map.fuse = !fusing;
+                self.settings_panel.set_settings(self.settings.clone());
+                self.engine.send(Command::Fuse(!fusing));
             }
+            Action::Reset => self.engine.send(Command::Restart(Box::new(self.settings.clone()))),
             Action::View | Action::ShowAll => {}
             Action::Colouring => self.view.colouring = (self.view.colouring + 1) % COLOURINGS.len(),
             Action::PreviousSubmap => {
@@ -315,7 +373,10 @@ impl Viewer {
                 let dark = ctx.theme() == Theme::Dark;
                 ctx.set_theme(if dark { Theme::Light } else { Theme::Dark });
             }
-            Action::Quit => ctx.send_viewport_cmd(egui::ViewportCommand::Close),
+            Action::Quit => {
+                self.quits = true;
+                ctx.send_viewport_cmd(egui::ViewportCommand::Close);
+            }
         }
     }
 
@@ -326,11 +387,14 @@ impl Viewer {
         let Some(chosen) = dialog.show(ctx, &self.recent, has_frames) else { return };
         let purpose = dialog.purpose();
         self.dialog = None;
-        let Chosen::Path { path, in_map } = chosen else { return };
+        let Chosen::Path { path, with } = chosen else { return };
         match purpose {
             Purpose::Open => self.open_path(path),
-            Purpose::Load if in_map => self.engine.send(Command::TrackIn(path)),
-            Purpose::Load => self.open_path(path),
+            Purpose::Load => match with {
+                With::LookingAt => self.open_path(path),
+                With::TrackingIn => self.engine.send(Command::TrackIn(path)),
+                With::GoingOn => self.engine.send(Command::GoOn(path)),
+            },
             Purpose::Save => self.engine.send(Command::Save(path)),
             Purpose::Mesh => self.engine.send(Command::Mesh(path)),
             Purpose::Frames => self.engine.send(Command::Capture(Some((CaptureKind::Frames, path)))),
@@ -351,7 +415,6 @@ impl Viewer {
             }
             Some(SettingsAction::Restart(settings)) => {
                 self.engine.send(Command::Restart(Box::new(settings.clone())));
-                self.settings_panel.set_in_force(Some(settings.clone()));
                 self.settings = settings;
             }
             None => {}

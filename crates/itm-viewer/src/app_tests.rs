@@ -1,17 +1,20 @@
 //! The window's panels and keys, without a reconstruction behind them.
 
+use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 
 use egui::Key;
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable as _;
 use itm_io::recording::OpenOptions;
-use itm_slam::{Intrinsics, Se3, Settings, SubmapState};
+use itm_slam::{Canvas, Device, Intrinsics, Se3, Settings, SubmapState};
 
-use crate::app::Viewer;
-use crate::engine::state::{FrameSummary, Kind, Row, Scene, State, SubmapSummary, Verdict};
-use crate::engine::{Command, Engine};
+use crate::app::{Overlays, Viewer};
+use crate::dialog::{Dialog, Purpose};
+use crate::engine::state::{FrameSummary, Kind, Row, Scene, Shown, State, SubmapSummary, Verdict};
+use crate::engine::{CaptureKind, Command, Engine};
 use crate::textures::Textures;
+use crate::theme;
 
 /// A window and the commands that it sends.
 fn window(change: impl FnOnce(&mut State)) -> (Harness<'static, Viewer>, Receiver<Command>) {
@@ -155,15 +158,215 @@ fn files_are_asked_for_and_sent() {
 }
 
 #[test]
-fn recording_the_pane_begins_with_a_name_and_ends_with_the_key() {
-    let (mut harness, commands) = window(|state| {
-        recording(state);
-        state.recording = Some(("room.avi".into(), 12));
+fn a_file_that_is_there_is_replaced_by_the_button_that_says_so_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("there.itm");
+    std::fs::write(&path, "something").unwrap();
+    let (mut harness, commands) = window(recording);
+    harness.run_steps(2);
+    harness.state_mut().dialog = Some(Dialog::new(Purpose::Save, path.display().to_string()));
+    harness.run_steps(3);
+    press(&mut harness, Key::Enter);
+    assert!(sent(&commands).is_empty() && harness.state().dialog.is_some());
+    harness.get_by_label_contains("There is a file of that name");
+    harness.get_by_label("Replace").click();
+    harness.run_steps(2);
+    assert!(matches!(&sent(&commands)[..], [Command::Save(saved)] if *saved == path));
+}
+
+/// Lets a picture of the map be there, from a pose two metres behind the world's origin.
+fn show_a_picture(state: &mut State) -> bool {
+    if std::env::var_os("ITM_SKIP_GPU_TESTS").is_some() {
+        return false;
+    }
+    let device = Device::open("auto").expect("an adapter, or ITM_SKIP_GPU_TESTS set");
+    let behind = Se3 { translation: glam::DVec3::new(0.0, 0.0, -2.0), ..Se3::IDENTITY };
+    state.shown = Some(Shown {
+        canvas: Arc::new(Canvas::new(&device, (800, 600)).unwrap()),
+        camera: Intrinsics::new(800, 600, 600.0, 600.0, 399.5, 299.5),
+        world_from_camera: behind,
+        follows: false,
     });
+    true
+}
+
+#[test]
+fn recording_the_pane_begins_with_a_name_and_ends_with_the_key() {
+    let (mut harness, commands) = window(recording);
     harness.run_steps(2);
     // Nothing is shown yet, so nothing can be recorded.
     press(&mut harness, Key::V);
-    assert!(sent(&commands).is_empty());
+    assert!(harness.state().dialog.is_none());
+    if !show_a_picture(&mut harness.state().engine.state()) {
+        return;
+    }
+    for (key, title, expected) in [
+        (Key::V, "Record a video", (CaptureKind::Video, "room.avi")),
+        (Key::S, "Record pictures into a folder", (CaptureKind::Frames, "room-frames")),
+    ] {
+        press(&mut harness, key);
+        harness.run_steps(2);
+        harness.get_by_label(title);
+        // The dialog's, above the menu of that name.
+        harness.get_all_by_label("Record").last().unwrap().click();
+        harness.run_steps(2);
+        let sent = sent(&commands);
+        assert!(
+            matches!(&sent[..], [Command::Capture(Some((kind, path)))] if (*kind, path.to_str().unwrap()) == expected),
+            "{sent:?}"
+        );
+    }
+    // The same key ends it.
+    harness.state().engine.state().recording = Some(("room.avi".into(), 12));
+    press(&mut harness, Key::V);
+    assert!(matches!(sent(&commands)[..], [Command::Capture(None)]) && harness.state().dialog.is_none());
+}
+
+/// Of the lines that a window draws those of a colour.
+fn lines_of(harness: &Harness<'static, Viewer>, colour: egui::Color32) -> usize {
+    fn count(shape: &egui::Shape, colour: egui::Color32) -> usize {
+        match shape {
+            egui::Shape::Vec(shapes) => shapes.iter().map(|shape| count(shape, colour)).sum(),
+            egui::Shape::LineSegment { stroke, .. } => usize::from(stroke.color == colour),
+            egui::Shape::Path(path) => usize::from(path.stroke.color == egui::epaint::ColorMode::Solid(colour)),
+            egui::Shape::Circle(circle) => usize::from(circle.fill == colour),
+            _ => 0,
+        }
+    }
+    harness.output().shapes.iter().map(|clipped| count(&clipped.shape, colour)).sum()
+}
+
+#[test]
+fn the_way_the_camera_submaps_and_links_are_drawn_over_the_map() {
+    let (mut harness, commands) = window(|state| {
+        recording(state);
+        state.trajectory = Arc::new((0..10).map(|i| glam::DVec3::X * (0.1 * f64::from(i))).collect());
+        let submap = |x: f64, state| SubmapSummary {
+            world_from_submap: Se3 { translation: glam::DVec3::X * x, ..Se3::IDENTITY },
+            state,
+        };
+        state.submaps = vec![submap(0.0, SubmapState::Passive), submap(0.5, SubmapState::Primary)];
+        state.links = vec![(0, 1, true)];
+        state.keyframes = Arc::new(vec![Se3::IDENTITY]);
+    });
+    if !show_a_picture(&mut harness.state().engine.state()) {
+        return;
+    }
+    press(&mut harness, Key::F);
+    // The pane sees what the picture does.
+    harness.run_steps(2);
+    let verdict = theme::verdict(Verdict::Poor);
+    let keyframe = theme::KEYFRAME.gamma_multiply(0.8);
+    let drawn = |harness: &Harness<'static, Viewer>| {
+        [theme::ACCENT, theme::CLOSURE, theme::submap(SubmapState::Primary), verdict, keyframe]
+            .map(|colour| lines_of(harness, colour))
+    };
+    let all = drawn(&harness);
+    assert!(all.iter().all(|count| *count > 0), "{all:?}");
+    harness.state_mut().view.overlay = Overlays { trajectory: false, camera: true, keyframes: false, submaps: false };
+    harness.run_steps(2);
+    let some = drawn(&harness);
+    // Plots and legends have colours of these too.
+    assert!([0, 1, 2, 4].iter().all(|i| some[*i] < all[*i]), "{some:?} of {all:?}");
+    assert_eq!(some[3], all[3]);
+
+    // The point under a double click is asked for, of the picture that was clicked.
+    let before = sent(&commands).len();
+    assert_eq!(before, 0);
+    let middle = egui::Pos2::new(500.0, 400.0);
+    // However long a frame of the test takes.
+    harness.ctx.options_mut(|options| options.input_options.max_double_click_delay = 60.0);
+    for _ in 0..2 {
+        harness.drag_at(middle);
+        harness.drop_at(middle);
+    }
+    harness.run_steps(2);
+    let sent = sent(&commands);
+    assert!(
+        matches!(&sent[..], [Command::Pick(shown, (x, y))] if shown.canvas.size() == (800, 600) && *x < 800 && *y < 600),
+        "{sent:?}"
+    );
+}
+
+#[test]
+fn escape_leaves_a_text_or_a_menu_before_it_closes_the_window() {
+    let (mut harness, _commands) = window(recording);
+    press(&mut harness, Key::Comma);
+    harness.run_steps(2);
+    harness.get_by_label("Search").click();
+    harness.run_steps(2);
+    press(&mut harness, Key::Escape);
+    assert!(!harness.state().quits);
+    harness.run_steps(2);
+    harness.get_by_label("Overlays").click();
+    harness.run_steps(2);
+    harness.get_by_label("Trajectory");
+    press(&mut harness, Key::Escape);
+    assert!(!harness.state().quits);
+    harness.run_steps(2);
+    assert!(harness.query_by_label("Trajectory").is_none());
+    // The menu's button may have the keyboard still.
+    press(&mut harness, Key::Escape);
+    press(&mut harness, Key::Escape);
+    assert!(harness.state().quits);
+}
+
+/// A file as the system drops it.
+#[derive(Debug)]
+struct Dropped(std::path::PathBuf);
+
+impl egui::DroppedFile for Dropped {
+    fn path(&self) -> &std::path::Path {
+        &self.0
+    }
+
+    fn bytes(&self) -> Result<Vec<u8>, String> {
+        Err("only its path is asked for".into())
+    }
+}
+
+#[test]
+fn what_is_dropped_is_opened_and_what_was_opened_is_recent() {
+    let (mut harness, commands) = window(|_| ());
+    harness.run_steps(2);
+    harness.input_mut().dropped_files = vec![Arc::new(Dropped("/recordings/room".into()))];
+    harness.step();
+    let sent = sent(&commands);
+    assert!(matches!(&sent[..], [Command::Open(open)] if open.path.ends_with("room")), "{sent:?}");
+    // It is one of the recent ones once it could be opened.
+    assert!(harness.state().recent.is_empty());
+    {
+        let mut state = harness.state().engine.state();
+        recording(&mut state);
+        state.opened = (1, "room".into());
+    }
+    harness.run_steps(2);
+    assert_eq!(harness.state().recent, [std::path::absolute("room").unwrap()]);
+    press(&mut harness, Key::O);
+    harness.run_steps(2);
+    harness.get_by_label(&std::path::absolute("room").unwrap().display().to_string()).click();
+    harness.run_steps(2);
+    assert!(matches!(&self::sent(&commands)[..], [Command::Open(open)] if open.path.is_absolute()));
+}
+
+#[test]
+fn the_form_follows_what_is_open_and_the_key_for_fusion() {
+    let (mut harness, commands) = window(recording);
+    harness.run_steps(2);
+    press(&mut harness, Key::T);
+    assert!(matches!(sent(&commands)[..], [Command::Fuse(false)]));
+    // What is changed in the form next does not switch it on again.
+    assert!(!harness.state().settings.map.fuse);
+    {
+        let mut state = harness.state().engine.state();
+        state.opened.0 += 1;
+        state.asked.map.max_weight = 77;
+        state.submaps.clear();
+    }
+    harness.state_mut().view.submap = Some(5);
+    harness.run_steps(2);
+    assert_eq!(harness.state().settings.map.max_weight, 77);
+    assert_eq!(harness.state().view.submap, None);
 }
 
 #[test]

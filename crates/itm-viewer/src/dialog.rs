@@ -1,6 +1,6 @@
 //! Asking for a file.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver, TryRecvError};
 
 use egui::{Context, Id, Key, Modal, RichText, TextEdit, Ui};
@@ -19,11 +19,17 @@ pub(crate) enum Purpose {
 /// What was chosen.
 pub(crate) enum Chosen {
     Nothing,
-    Path {
-        path: PathBuf,
-        /// Whether the open recording is tracked in the map.
-        in_map: bool,
-    },
+    Path { path: PathBuf, with: With },
+}
+
+/// What is done with a map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum With {
+    LookingAt,
+    /// The open recording is started again in it.
+    TrackingIn,
+    /// Its session goes on with the frames of the open recording that are left.
+    GoingOn,
 }
 
 /// A dialog that asks for a path: typed, dropped or browsed for.
@@ -56,10 +62,10 @@ impl Purpose {
             }
             Self::Load => "A map that was saved before (.itm).",
             Self::Save => {
-                "The map, its keyframes and the trajectory; 'itm run --resume' and this window go on with it."
+                "The map, its keyframes and the trajectory; 'itm run --resume' and this window (Load) go on with it."
             }
             Self::Mesh => "The name's ending says the format: .ply, .glb, .obj or .stl.",
-            Self::Frames => "A PNG file for each new picture of the large pane.",
+            Self::Frames => "A PNG file for each new picture of the large pane, in an empty folder or a new one.",
             Self::Video => "An .avi file (Motion JPEG) with each new picture of the large pane.",
         }
     }
@@ -84,6 +90,11 @@ impl Dialog {
         self.purpose
     }
 
+    /// Takes a path that was dropped.
+    pub(crate) fn set_path(&mut self, path: &Path) {
+        self.text = path.display().to_string();
+    }
+
     /// Shows it; what was chosen once something was.
     pub(crate) fn show(&mut self, ctx: &Context, recent: &[PathBuf], has_frames: bool) -> Option<Chosen> {
         self.take_browsed();
@@ -100,26 +111,43 @@ impl Dialog {
         ui.label(self.purpose.explains());
         ui.add_space(6.0);
         let mut chosen = None;
+        let text = self.text.trim();
+        let replaces = matches!(self.purpose, Purpose::Save | Purpose::Mesh | Purpose::Video)
+            && !text.is_empty()
+            && Path::new(text).exists();
         ui.horizontal(|ui| {
-            let width = ui.available_width() - 90.0;
+            let width = ui.available_width() - if self.purpose == Purpose::Open { 130.0 } else { 90.0 };
             let edit = ui.add(TextEdit::singleline(&mut self.text).desired_width(width).hint_text("path"));
             if !self.begun {
                 self.begun = true;
                 edit.request_focus();
             }
-            if edit.lost_focus() && ui.input(|input| input.key_pressed(Key::Enter)) && !self.text.trim().is_empty() {
-                chosen = Some(self.path(false));
+            let entered = edit.lost_focus() && ui.input(|input| input.key_pressed(Key::Enter));
+            // What is there already is replaced by the button that says so alone.
+            if entered && !self.text.trim().is_empty() && !replaces {
+                chosen = Some(self.path(With::LookingAt));
             }
-            if ui.button("Browse…").on_hover_text("The system's own dialog, where there is one").clicked() {
-                self.browse();
+            let system = "The system's own dialog, where there is one";
+            if self.purpose == Purpose::Open {
+                if ui.button("Folder…").on_hover_text(system).clicked() {
+                    self.browse(true);
+                }
+                if ui.button("File…").on_hover_text(system).clicked() {
+                    self.browse(false);
+                }
+            } else if ui.button("Browse…").on_hover_text(system).clicked() {
+                self.browse(self.purpose == Purpose::Frames);
             }
         });
+        if replaces {
+            ui.colored_label(ui.visuals().warn_fg_color, "There is a file of that name.");
+        }
         if self.purpose == Purpose::Open && !recent.is_empty() {
             ui.add_space(6.0);
             ui.label(RichText::new("Recently open").strong());
             for path in recent {
                 if ui.link(path.display().to_string()).clicked() {
-                    chosen = Some(Chosen::Path { path: path.clone(), in_map: false });
+                    chosen = Some(Chosen::Path { path: path.clone(), with: With::LookingAt });
                 }
             }
         }
@@ -129,11 +157,19 @@ impl Dialog {
             if self.purpose == Purpose::Load && has_frames {
                 let button = ui.add_enabled(there, egui::Button::new("Track this recording in it"));
                 if button.on_hover_text("Start the recording again, with the camera looked for in that map").clicked() {
-                    chosen = Some(self.path(true));
+                    chosen = Some(self.path(With::TrackingIn));
+                }
+                let button = ui.add_enabled(there, egui::Button::new("Go on with it"));
+                if button
+                    .on_hover_text("Reconstruct the frames of this recording that come after the map's last")
+                    .clicked()
+                {
+                    chosen = Some(self.path(With::GoingOn));
                 }
             }
-            if ui.add_enabled(there, egui::Button::new(self.purpose.button())).clicked() {
-                chosen = Some(self.path(false));
+            let label = if replaces { "Replace" } else { self.purpose.button() };
+            if ui.add_enabled(there, egui::Button::new(label)).clicked() {
+                chosen = Some(self.path(With::LookingAt));
             }
             if ui.button("Cancel").clicked() {
                 chosen = Some(Chosen::Nothing);
@@ -142,19 +178,21 @@ impl Dialog {
         chosen
     }
 
-    fn path(&self, in_map: bool) -> Chosen {
-        Chosen::Path { path: PathBuf::from(self.text.trim()), in_map }
+    fn path(&self, with: With) -> Chosen {
+        Chosen::Path { path: PathBuf::from(self.text.trim()), with }
     }
 
     /// Asks the system, on a thread: its dialog may stay open as long as it likes.
-    fn browse(&mut self) {
+    fn browse(&mut self, folder: bool) {
         let (sender, receiver) = mpsc::channel();
         let (purpose, text) = (self.purpose, self.text.clone());
         std::thread::spawn(move || {
             let dialog = rfd::FileDialog::new().set_title(purpose.title());
             let path = match purpose {
-                // A recording is a folder, mostly; files can be dropped, or typed.
-                Purpose::Open | Purpose::Frames => dialog.pick_folder(),
+                Purpose::Open | Purpose::Frames if folder => dialog.pick_folder(),
+                Purpose::Open | Purpose::Frames => {
+                    dialog.add_filter("recording or map", &["mcap", "itm"]).add_filter("all", &["*"]).pick_file()
+                }
                 Purpose::Load => dialog.add_filter("map", &["itm"]).pick_file(),
                 Purpose::Save => dialog.add_filter("map", &["itm"]).set_file_name(text).save_file(),
                 Purpose::Mesh => {

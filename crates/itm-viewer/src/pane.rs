@@ -44,7 +44,7 @@ impl Viewer {
                 && let Some(pixel) = response.interact_pointer_pos().and_then(|place| projection.pixel(place))
             {
                 self.view.picking = true;
-                self.engine.send(Command::Pick(pixel));
+                self.engine.send(Command::Pick(Box::new(shown.clone()), pixel));
             }
             let state = self.engine.state();
             self.draw_over(ui, &state, shown, projection);

@@ -136,6 +136,8 @@ type Outcome = Arc<std::sync::Mutex<Option<Result<(), String>>>>;
 struct Window {
     viewer: Viewer,
     picture: Option<PathBuf>,
+    /// Whether something was asked to be opened.
+    opens: bool,
     outcome: Outcome,
     stop: Arc<AtomicBool>,
     device: Device,
@@ -170,6 +172,7 @@ impl Window {
         }
         viewer.view.free = options.free_view;
         viewer.view.colouring = COLOURINGS.iter().position(|(shading, _)| *shading == options.shading).unwrap_or(0);
+        let opens = options.path.is_some();
         if let Some(path) = options.path {
             viewer.open(Open {
                 options: options.recordings,
@@ -182,6 +185,7 @@ impl Window {
         Ok(Self {
             viewer,
             picture: options.picture,
+            opens,
             outcome,
             stop: options.stop,
             device,
@@ -213,7 +217,7 @@ impl Window {
             let state = self.viewer.engine.state();
             let failed = matches!(state.scene, Scene::Nothing) && state.busy.is_none() && state.told > 0;
             let done = match &state.scene {
-                Scene::Nothing => failed || self.viewer.recent.is_empty(),
+                Scene::Nothing => failed || !self.opens,
                 Scene::Recording { finished, .. } => state.shown.is_some() && *finished,
                 Scene::Map { .. } => state.shown.is_some(),
                 Scene::Results { .. } => true,

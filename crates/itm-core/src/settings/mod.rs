@@ -311,6 +311,7 @@ pub enum ObservationWeight {
 
 /// Why settings cannot be used.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
 pub enum SettingsError {
     /// The file, or an override, is no valid TOML or has an unknown key or a value of the wrong kind. The message
     /// lists the keys that would do.
@@ -469,6 +470,12 @@ impl Settings {
         relocaliser.validate()?;
         submaps.validate()?;
         surfels.validate()?;
+        check(
+            !self.mode.has_surfels() || !map.track_changes,
+            "map.track_changes",
+            "false where maps are made of surfels: they have no blocks",
+            map.track_changes,
+        )?;
         check(
             !self.mode.has_surfels() || !tracker.forward_projection.enabled,
             "tracker.forward_projection.enabled",

@@ -298,7 +298,7 @@ impl Default for ExtendedSettings {
 pub struct RgbSettings {
     /// One letter a pyramid level, from coarse to fine: `r` estimates rotation, `t` translation, `b` both, `n` nothing.
     pub levels: String,
-    /// Whether only every other point along both axes is used.
+    /// Whether only every other point along both axes is compared: less work, and less is known. Not as a part of a composite.
     pub skip_points: bool,
     /// Largest number of steps at a level.
     pub max_steps: u32,
@@ -314,7 +314,7 @@ impl Default for RgbSettings {
     fn default() -> Self {
         Self {
             levels: "rrbb".into(),
-            skip_points: true,
+            skip_points: false,
             max_steps: 100,
             min_step: 5e-5,
             min_decrease: 1e-5,

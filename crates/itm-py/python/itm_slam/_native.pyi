@@ -363,7 +363,7 @@ class Session:
     def render(
         self,
         pose: ArrayLike | None = None,
-        kind: Literal["colour", "grey", "normals", "depth", "confidence"] = "colour",
+        kind: Literal["colour", "phong", "grey", "normals", "depth", "confidence"] = "colour",
         *,
         camera: Intrinsics | None = None,
         max_depth_m: float | None = None,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use itm_core::{CompositePolicy, Frame, Intrinsics, Se3, Settings, TrackerKind};
+use itm_core::{CompositePolicy, Frame, Intrinsics, Se3, Settings, TrackerKind, TrackerSettings};
 use itm_io::trajectory::PoseFiles;
 use serde::{Deserialize, Serialize};
 
@@ -52,6 +52,13 @@ pub struct Tracker {
 }
 
 impl Tracker {
+    /// Of points with colours every so many along both axes are compared.
+    pub(crate) fn every_point(&self) -> u32 {
+        // Where a composite compares colours in another way too, it takes all of them.
+        let TrackerSettings { kind, rgb, .. } = &self.settings.tracker;
+        if *kind == TrackerKind::Rgb && rgb.skip_points { 2 } else { 1 }
+    }
+
     /// Prepares the tracker that the settings choose, for a depth camera.
     ///
     /// # Errors

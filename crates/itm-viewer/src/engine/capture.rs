@@ -28,6 +28,8 @@ pub(super) struct Capture {
     path: PathBuf,
     into: Into,
     pictures: u64,
+    /// Pictures of another size than the video's.
+    left_out: u64,
 }
 
 enum Into {
@@ -42,14 +44,20 @@ impl Capture {
         let into = match kind {
             CaptureKind::Frames => {
                 fs::create_dir_all(path).map_err(failed)?;
+                if fs::read_dir(path).map_err(failed)?.next().is_some() {
+                    return Err(format!("'{}' has files in it: pictures go into an empty folder", path.display()));
+                }
                 Into::Folder
             }
             CaptureKind::Video => {
+                if !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("avi")) {
+                    return Err(format!("'{}' is no name of a video: expected one that ends in .avi", path.display()));
+                }
                 File::create(path).map_err(failed)?;
                 Into::Video(None)
             }
         };
-        Ok(Self { path: path.to_owned(), into, pictures: 0 })
+        Ok(Self { path: path.to_owned(), into, pictures: 0, left_out: 0 })
     }
 
     /// Takes in a picture; returns how many there are.
@@ -77,7 +85,8 @@ impl Capture {
                     None => video.insert(Video::create(&self.path, (width, height)).map_err(failed)?),
                 };
                 if video.size != (width, height) {
-                    // A video has one size. Coarse pictures while the view moves, or another view, are left out.
+                    // A video has one size: another view, or another pane, has no place in it.
+                    self.left_out += 1;
                     return Ok(());
                 }
                 let mut jpeg = Vec::new();
@@ -97,7 +106,11 @@ impl Capture {
         if let Into::Video(Some(video)) = self.into {
             video.finish().map_err(|error| format!("cannot write '{shown}': {error}"))?;
         }
-        Ok(format!("{} pictures are in {shown}", self.pictures))
+        let left_out = match self.left_out {
+            0 => String::new(),
+            n => format!("; {n} of another size than the first were left out"),
+        };
+        Ok(format!("{} pictures are in {shown}{left_out}", self.pictures))
     }
 }
 

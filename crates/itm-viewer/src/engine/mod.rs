@@ -25,7 +25,7 @@ use crate::keeper::KeeperFor;
 pub(crate) use capture::CaptureKind;
 pub(crate) use open::Open;
 pub(crate) use pictures::scale_colour;
-use state::State;
+use state::{Shown, State};
 
 /// What the window asks for.
 #[derive(Debug)]
@@ -36,6 +36,8 @@ pub(crate) enum Command {
     Restart(Box<Settings>),
     /// The recording is started again in a saved map, with its settings.
     TrackIn(PathBuf),
+    /// The session of a saved map goes on with the recording's frames that are left, with its settings.
+    GoOn(PathBuf),
     /// Frames are processed until there are no more, or not.
     Run(bool),
     /// One frame is processed.
@@ -48,8 +50,8 @@ pub(crate) enum Command {
     Fuse(bool),
     /// Settings that hold from the next frame on; those that need a restart are left.
     Settings(Box<Settings>),
-    /// The point that a pixel of the picture shows is asked for.
-    Pick((u32, u32)),
+    /// The point that a pixel of a picture shows is asked for.
+    Pick(Box<Shown>, (u32, u32)),
     /// The map is saved.
     Save(PathBuf),
     /// The map's surface is written.
@@ -175,10 +177,16 @@ impl Engine {
         }
     }
 
-    /// Ends the thread: what was reconstructed so far is kept first.
-    pub(crate) fn end(&mut self) {
+    /// Tells the thread to end, once what was reconstructed so far is kept. Whether it has.
+    pub(crate) fn begin_end(&mut self) -> bool {
         self.shared.end.store(true, Ordering::Relaxed);
         self.commands = None;
+        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+
+    /// Ends the thread, and waits until what was reconstructed so far is kept.
+    pub(crate) fn end(&mut self) {
+        self.begin_end();
         if let Some(thread) = self.thread.take()
             && thread.join().is_err()
         {

@@ -9,6 +9,18 @@ use itm_slam::{Poses, Settings};
 /// What a run writes into its folder, one of which is always there.
 const RESULTS: [&str; 2] = ["trajectory.txt", "mesh.ply"];
 
+/// What the reconstruction of a recording starts from.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) enum OpenAs {
+    /// An empty map.
+    #[default]
+    Afresh,
+    /// A saved map, which the camera is looked for in.
+    InMap(PathBuf),
+    /// A saved map, after the frame that was its last.
+    GoingOn(PathBuf),
+}
+
 /// Something to open.
 #[derive(Clone, Debug)]
 pub(crate) struct Open {
@@ -20,8 +32,8 @@ pub(crate) struct Open {
     pub(crate) poses: Poses,
     /// For recordings: the first frame, by its place, and the one after the last, if that is not the recording's end.
     pub(crate) frames: (usize, Option<usize>),
-    /// For recordings: a saved map that the camera is looked for in.
-    pub(crate) in_map: Option<PathBuf>,
+    /// For recordings: what they start from.
+    pub(crate) start: OpenAs,
     /// Whether frames are processed at once.
     pub(crate) run: bool,
 }
@@ -35,7 +47,7 @@ impl Open {
             settings: settings.clone(),
             poses: Poses::Tracked,
             frames: (0, None),
-            in_map: None,
+            start: OpenAs::Afresh,
             run: true,
         }
     }

@@ -1,6 +1,6 @@
 //! Opening recordings, maps and results; and what is said of what is open.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use itm_gpu::mesh_view::MeshView;
@@ -11,7 +11,7 @@ use itm_slam::{
     settings_of,
 };
 
-use super::open::{Open, WhatItIs, recognise};
+use super::open::{Open, OpenAs, WhatItIs, recognise};
 use super::painter::ShownMesh;
 use super::results::Results;
 use super::state::{FrameSummary, Kind, Scene, State, SubmapSummary, Verdict};
@@ -37,8 +37,7 @@ impl Worker {
                 self.version += 1;
                 self.painter.forget();
                 (self.lost, self.full) = (false, false);
-                self.show_opened(scene);
-                self.begin_keeping();
+                self.show_opened(scene, open.path);
                 self.set_running(open.run);
             }
             Err(reason) => self.tell(Kind::Error, reason),
@@ -48,14 +47,15 @@ impl Worker {
     fn open_recording(&self, open: &Open) -> Result<(Opened, Scene), String> {
         let told = |error: &dyn std::error::Error| causes(error);
         let recording = recording::open(&open.path, &open.options).map_err(|error| told(&error))?;
-        let start = match &open.in_map {
-            Some(path) => Start::InMap { path: path.clone(), world_from_camera: None },
-            None => Start::Afresh,
-        };
         let (first, end) = open.frames;
-        let frames = first..end.unwrap_or(recording.info().frames);
-        let options =
-            SessionOptions { settings: open.settings.clone(), poses: open.poses, frames: Some(frames), start };
+        let all = Some(first..end.unwrap_or(recording.info().frames));
+        let (start, frames) = match &open.start {
+            OpenAs::Afresh => (Start::Afresh, all),
+            OpenAs::InMap(path) => (Start::InMap { path: path.clone(), world_from_camera: None }, all),
+            // Those that are left.
+            OpenAs::GoingOn(path) => (Start::Resume(path.clone()), None),
+        };
+        let options = SessionOptions { settings: open.settings.clone(), poses: open.poses, frames, start };
         let session = Session::new(&self.device, recording, &options).map_err(|error| told(&error))?;
         let info = session.info();
         let (frames, next) = session.place();
@@ -76,7 +76,7 @@ impl Worker {
             finished: false,
         };
         let reconstruction =
-            Reconstruction { open: open.clone(), session, preview: None, keeper: None, finished: false };
+            Reconstruction { open: open.clone(), session, preview: None, keeper: None, begun: false, finished: false };
         Ok((Opened::Recording(Box::new(reconstruction)), scene))
     }
 
@@ -128,7 +128,7 @@ impl Worker {
     }
 
     /// Says what was opened, and nothing of what was open before.
-    fn show_opened(&mut self, scene: Scene) {
+    fn show_opened(&mut self, scene: Scene, path: PathBuf) {
         let mut fresh = State { scene, ..State::default() };
         let mut paces = Vec::new();
         if let Some(slam) = self.opened.slam() {
@@ -166,6 +166,7 @@ impl Worker {
         self.shared.change(|state| {
             fresh.messages = std::mem::take(&mut state.messages);
             fresh.told = state.told;
+            fresh.opened = (state.opened.0 + 1, path);
             fresh.picked = state.picked;
             fresh.recording = state.recording.take();
             *state = fresh;

@@ -119,6 +119,8 @@ pub(super) struct Painter {
     device: Device,
     canvases: Vec<Arc<Canvas>>,
     painted: Option<Painted>,
+    /// Whether the pictures are recorded, so that they are to be of one size.
+    pub(super) recorded: bool,
     /// When the last picture was painted, and how long that took.
     at: Instant,
     took: Duration,
@@ -133,7 +135,14 @@ const REST_MS: u128 = 120;
 
 impl Painter {
     pub(super) fn new(device: &Device) -> Self {
-        Self { device: device.clone(), canvases: Vec::new(), painted: None, at: Instant::now(), took: Duration::ZERO }
+        Self {
+            device: device.clone(),
+            canvases: Vec::new(),
+            painted: None,
+            recorded: false,
+            at: Instant::now(),
+            took: Duration::ZERO,
+        }
     }
 
     /// Forgets what was painted: something else is open.
@@ -149,8 +158,8 @@ impl Painter {
     /// The picture that is to be painted next, if any.
     fn due(&self, wish: &Wish, version: u64, running: bool, subject: &dyn Subject) -> Option<Painted> {
         // Of the model there is one picture.
-        let quick =
-            if wish.free.is_none() || !self.device.capabilities().software { Fineness::Fine } else { Fineness::Coarse };
+        let at_once = wish.free.is_none() || self.recorded || !self.device.capabilities().software;
+        let quick = if at_once { Fineness::Fine } else { Fineness::Coarse };
         let quick = Painted { wish: *wish, version, fineness: quick };
         let same = |fineness: Fineness| {
             self.painted.is_some_and(|painted| {

@@ -16,6 +16,8 @@ const MESSAGES: usize = 500;
 #[derive(Clone, Default)]
 pub(crate) struct State {
     pub(crate) scene: Scene,
+    /// How often something was opened, and where the last lies.
+    pub(crate) opened: (u64, PathBuf),
     /// Whether frames are being processed, one after the other.
     pub(crate) running: bool,
     /// Whether frames are fused into the map.
@@ -188,7 +190,7 @@ pub(crate) struct Busy {
 }
 
 /// The picture that is shown.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub(crate) struct Shown {
     pub(crate) canvas: Arc<Canvas>,
     /// The camera that it is of, whose pixels are the canvas's, and its pose.

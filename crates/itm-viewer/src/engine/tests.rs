@@ -1,14 +1,16 @@
 //! The engine with a reconstruction in it, as the window drives it.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use itm_slam::{Device, Mode, Se3, Settings, Shading};
+use itm_slam::{Device, Event, Mode, Se3, Session, Settings, Shading};
 use itm_synth::{Sequence, Spec};
 
 use super::state::{Kind, Scene, State, Verdict};
 use super::{CaptureKind, Command, Engine, Open, Wish};
 use crate::camera::OrbitCamera;
+use crate::keeper::{Keeper, KeeperFor};
 
 fn device() -> Option<Device> {
     if std::env::var_os("ITM_SKIP_GPU_TESTS").is_some() {
@@ -90,6 +92,8 @@ fn a_recording_goes_frame_by_frame_to_its_end_and_on_from_elsewhere() {
     engine.send(Command::Run(true));
     let again = wait(&engine, "the end again", is_finished);
     assert_eq!(again.rows.len(), 20);
+    // Each frame counts once, however often it was processed.
+    assert_eq!(again.messages.iter().filter(|message| message.text.contains("16 of 16 have a pose")).count(), 2);
 
     // Started again, with other settings.
     engine.send(Command::Restart(Box::new(Settings { mode: Mode::Surfels, ..settings() })));
@@ -127,11 +131,11 @@ fn views_are_painted_as_wished_and_points_picked() {
     let shown = resting.shown.unwrap();
     assert!(covered(&shown) > 0.4);
 
-    engine.send(Command::Pick((100, 75)));
+    engine.send(Command::Pick(Box::new(shown.clone()), (100, 75)));
     let (picks, point) = wait(&engine, "a point", |state| state.picked.0 == 1).picked;
     let seen = shown.world_from_camera.inverse().transform_point(point.expect("a wall is there"));
     assert!(picks == 1 && seen.z > 0.5 && seen.z < 8.0 && seen.x.abs() < 0.02 * seen.z, "{seen}");
-    engine.send(Command::Pick((5000, 0)));
+    engine.send(Command::Pick(Box::new(shown), (5000, 0)));
     assert_eq!(wait(&engine, "no point", |state| state.picked.0 == 2).picked.1, None);
 }
 
@@ -156,6 +160,23 @@ fn maps_are_saved_meshed_looked_at_and_tracked_in() {
     engine.send(Command::TrackIn(at("room.itm")));
     let tracked = wait(&engine, "the end in the map", |state| is_finished(state) && state.rows.len() == 6);
     assert!(tracked.trajectory.len() >= 3, "{} poses", tracked.trajectory.len());
+
+    // Its session has no frame left to go on with; one that was saved earlier has.
+    engine.send(Command::GoOn(at("room.itm")));
+    wait(&engine, "no frames left", |state| {
+        state.messages.iter().any(|m| m.kind == Kind::Error && m.text.contains("frames"))
+    });
+    engine.send(Command::Open(Box::new(Open { run: false, ..recording(folder.path(), 6) })));
+    wait(&engine, "afresh", |state| next_of(state) == Some(0) && state.rows.is_empty());
+    for frame in 1..=3 {
+        engine.send(Command::Step);
+        wait(&engine, "a frame", |state| next_of(state) == Some(frame));
+    }
+    engine.send(Command::Save(at("early.itm")));
+    wait(&engine, "saved", |state| said(state, Kind::Done, "early.itm"));
+    engine.send(Command::GoOn(at("early.itm")));
+    let on = wait(&engine, "the end of the rest", |state| is_finished(state) && state.rows.len() == 3);
+    assert_eq!(on.trajectory.len(), 6);
 
     engine.send(Command::Open(Box::new(Open::new(at("room.itm"), &settings()))));
     let map = wait(&engine, "the map", |state| matches!(state.scene, Scene::Map { .. }) && state.shown.is_some());
@@ -196,8 +217,25 @@ fn what_is_shown_is_recorded_as_pictures_and_as_a_video() {
     assert!(frames >= 3, "{frames}");
     assert_eq!(image::open(at("frames/000001.png")).unwrap().to_rgb8().dimensions(), (160, 120));
 
-    // The file is what its headers say: a list of pictures, each of them a JPEG of that size.
-    let video = std::fs::read(at("video.avi")).unwrap();
+    assert!(check_video(&at("video.avi")) >= 3);
+
+    // What there is already is not written over, and other endings are none of a video.
+    for (kind, path, reason) in
+        [(CaptureKind::Frames, at("frames"), "empty folder"), (CaptureKind::Video, at("video.mp4"), ".avi")]
+    {
+        engine.send(Command::Capture(Some((kind, path))));
+        wait(&engine, reason, |state| said(state, Kind::Error, reason));
+    }
+    // A window that is closed ends it, so that it is whole.
+    engine.send(Command::Capture(Some((CaptureKind::Video, at("closed.avi")))));
+    wait(&engine, "recording", |state| state.recording.as_ref().is_some_and(|(_, pictures)| *pictures > 0));
+    drop(engine);
+    assert!(check_video(&at("closed.avi")) >= 1);
+}
+
+/// Checks that a file is what its headers say, a list of pictures, each of them a JPEG of that size; how many there are.
+fn check_video(path: &Path) -> usize {
+    let video = std::fs::read(path).unwrap();
     let word = |at: usize| u32::from_le_bytes(video[at..at + 4].try_into().unwrap());
     assert_eq!((&video[..4], &video[8..16]), (&b"RIFF"[..], &b"AVI LIST"[..]));
     assert_eq!(word(4) as usize, video.len() - 8);
@@ -207,7 +245,6 @@ fn what_is_shown_is_recorded_as_pictures_and_as_a_video() {
     assert_eq!(&video[index..index + 4], b"idx1");
     let pictures = word(index + 4) as usize / 16;
     assert_eq!(word(48) as usize, pictures);
-    assert!(pictures >= 3);
     for picture in 0..pictures {
         let entry = index + 8 + 16 * picture;
         let (at, bytes) = (list + 8 + word(entry + 8) as usize, word(entry + 12) as usize);
@@ -215,6 +252,89 @@ fn what_is_shown_is_recorded_as_pictures_and_as_a_video() {
         let jpeg = image::load_from_memory(&video[at + 8..at + 8 + bytes]).unwrap();
         assert_eq!((jpeg.width(), jpeg.height()), (word(64), word(68)));
     }
+    pictures
+}
+
+/// What a keeper was told.
+#[derive(Debug, Default)]
+struct Kept {
+    /// Frames, then how often an end came and results were written.
+    frames: Vec<u64>,
+    ends: usize,
+    written: usize,
+}
+
+struct Told(Arc<Mutex<Vec<Kept>>>);
+
+impl Keeper for Told {
+    fn event(&mut self, event: &Event, _session: &mut Session) -> Result<(), String> {
+        let mut all = self.0.lock().unwrap();
+        let kept = all.last_mut().unwrap();
+        match event {
+            Event::Frame { result, .. } => kept.frames.push(result.index),
+            Event::Finished(_) => kept.ends += 1,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self, session: &mut Session) -> Result<PathBuf, String> {
+        let mut all = self.0.lock().unwrap();
+        let kept = all.last_mut().unwrap();
+        kept.written += 1;
+        assert_eq!(kept.written, kept.ends);
+        assert_eq!(session.slam().trajectory().len(), kept.frames.len());
+        Ok("there".into())
+    }
+}
+
+#[test]
+fn results_are_kept_from_the_first_frame_to_where_the_window_is_closed() {
+    let Some(device) = device() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let all: Arc<Mutex<Vec<Kept>>> = Arc::default();
+    let keepers = Arc::clone(&all);
+    let keeper_for: KeeperFor = Box::new(move |_, session| {
+        assert!(session.slam().trajectory().is_empty());
+        keepers.lock().unwrap().push(Kept::default());
+        Ok(Box::new(Told(Arc::clone(&keepers))))
+    });
+    let mut engine = Engine::start(&device, Some(keeper_for), |_| ());
+    let open = recording(folder.path(), 8);
+    engine.send(Command::Open(Box::new(open.clone())));
+    wait(&engine, "opened", |state| state.scene.has_frames());
+    engine.send(Command::Open(Box::new(open.clone())));
+    wait(&engine, "opened again", |state| state.opened.0 == 2);
+    assert!(all.lock().unwrap().is_empty(), "nothing was reconstructed");
+
+    // To its end, and once more from a frame before it.
+    engine.send(Command::Run(true));
+    wait(&engine, "the end", is_finished);
+    engine.send(Command::Seek(6));
+    wait(&engine, "frame 6", |state| next_of(state) == Some(6));
+    engine.send(Command::Run(true));
+    wait(&engine, "the end again", is_finished);
+    {
+        let all = all.lock().unwrap();
+        assert_eq!(all[0].frames, [0, 1, 2, 3, 4, 5, 6, 7, 6, 7]);
+        assert_eq!((all.len(), all[0].ends, all[0].written), (1, 2, 2));
+    }
+
+    // Another one, of which the window is closed in the middle.
+    engine.send(Command::Open(Box::new(open)));
+    wait(&engine, "opened", |state| state.opened.0 == 3);
+    for frame in 1..=3 {
+        engine.send(Command::Step);
+        wait(&engine, "a frame", |state| next_of(state) == Some(frame));
+    }
+    let started = Instant::now();
+    while !engine.begin_end() {
+        assert!(started.elapsed() < Duration::from_secs(60));
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let all = all.lock().unwrap();
+    assert_eq!(all[1].frames, [0, 1, 2]);
+    assert_eq!((all.len(), all[1].ends, all[1].written), (2, 1, 1));
 }
 
 #[test]
@@ -233,6 +353,17 @@ fn settings_are_taken_over_while_it_runs_as_far_as_they_can_be() {
     assert_eq!(taken.settings.map.voxel_size_m, 0.02);
     engine.send(Command::Run(true));
     wait(&engine, "the end", is_finished);
+
+    // Started anew something is fused, and settings that cannot be used leave open what is.
+    let mut wanted = settings();
+    wanted.map.fuse = false;
+    engine.send(Command::Restart(Box::new(wanted.clone())));
+    let fresh = wait(&engine, "a new start", |state| state.opened.0 == 2);
+    assert!(fresh.fusing && fresh.rows.is_empty());
+    wanted.map.voxel_size_m = -1.0;
+    engine.send(Command::Restart(Box::new(wanted)));
+    let refused = wait(&engine, "refused", |state| said(state, Kind::Error, "voxel_size_m"));
+    assert_eq!((refused.opened.0, refused.asked.map.voxel_size_m), (2, 0.02));
 }
 
 #[test]

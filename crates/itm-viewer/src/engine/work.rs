@@ -9,12 +9,12 @@ use itm_io::recording::{self, Recording};
 use itm_slam::{Device, Event, FrameReport, Happening, SavedSession, Session, Settings, Slam};
 
 use super::capture::Capture;
-use super::open::Open;
+use super::open::{Open, OpenAs};
 use super::opening::{SEEN, causes, note_report, show_map, show_trajectory};
 use super::painter::{Painter, ShownMesh, Subject};
 use super::pictures::depth_picture;
 use super::results::Results;
-use super::state::{Busy, FrameSummary, Kind, Row, Scene, State};
+use super::state::{Busy, FrameSummary, Kind, Row, Scene, Shown, State};
 use super::{Command, Shared};
 use crate::keeper::{Keeper, KeeperFor};
 
@@ -66,6 +66,9 @@ pub(super) struct Reconstruction {
     /// Reads single frames, while the session reads ahead; made when first asked for.
     pub(super) preview: Option<Box<dyn Recording>>,
     pub(super) keeper: Option<Box<dyn Keeper>>,
+    /// Whether results began to be kept, or would have: no sooner than with the first frame, so that what only is opened costs
+    /// no earlier results.
+    pub(super) begun: bool,
     pub(super) finished: bool,
 }
 
@@ -80,6 +83,8 @@ pub(super) struct Worker {
     /// Counts what changes the map or its place.
     pub(super) version: u64,
     capture: Option<Capture>,
+    /// Why the view could not be shown when it was last tried.
+    trouble: Option<String>,
     /// Whether the last frame was told to be lost.
     pub(super) lost: bool,
     /// Whether it was told that the map is full.
@@ -100,6 +105,7 @@ impl Worker {
             painter,
             version: 0,
             capture: None,
+            trouble: None,
             lost: false,
             full: false,
         }
@@ -126,7 +132,16 @@ impl Worker {
                     Err(RecvTimeoutError::Disconnected) => break,
                 }
             };
-            if let Some(command) = command {
+            if let Some(mut command) = command {
+                // Of frames that the handle has passed over meanwhile only the last is shown.
+                while matches!(command, Command::Preview(_))
+                    && let Ok(next) = commands.try_recv()
+                {
+                    let before = std::mem::replace(&mut command, next);
+                    if !matches!(command, Command::Preview(_)) {
+                        self.carry_out(before);
+                    }
+                }
                 self.carry_out(command);
                 continue;
             }
@@ -136,6 +151,7 @@ impl Worker {
                 self.advance();
             }
         }
+        self.set_capture(None);
         self.close();
     }
 
@@ -174,6 +190,7 @@ impl Worker {
         match self.painter.paint(&wish, self.version, self.running, subject, pose) {
             Ok(None) => {}
             Ok(Some(shown)) => {
+                self.trouble = None;
                 let captured = self.capture.as_mut().map(|capture| capture.take(&self.device, &shown.canvas));
                 // A view that is moved is waited for.
                 if wish.free.is_some() && (wish.moving || !self.running) {
@@ -188,16 +205,21 @@ impl Worker {
                         }
                     }),
                     Some(Err(reason)) => {
-                        self.capture = None;
-                        self.shared.change(|state| {
-                            state.recording = None;
-                            state.say(None, Kind::Error, format!("recording has ended: {reason}"));
-                        });
+                        self.tell(Kind::Error, format!("recording has ended: {reason}"));
+                        // What there is so far is a whole recording.
+                        self.set_capture(None);
                     }
                     None => {}
                 }
             }
-            Err(error) => self.tell(Kind::Error, format!("the view cannot be shown: {error}")),
+            Err(error) => {
+                let trouble = format!("the view cannot be shown: {error}");
+                // Once, and not with each frame.
+                if self.trouble.as_ref() != Some(&trouble) {
+                    self.tell(Kind::Error, trouble.clone());
+                }
+                self.trouble = Some(trouble);
+            }
         }
     }
 
@@ -205,13 +227,21 @@ impl Worker {
         match command {
             Command::Look => {}
             Command::Open(open) => self.open(*open),
-            Command::Restart(settings) => {
+            Command::Restart(mut settings) => {
                 if let Opened::Recording(reconstruction) = &self.opened {
                     let run = self.running;
-                    self.open(Open { settings: *settings, run, ..reconstruction.open.clone() });
+                    let start = match &reconstruction.open.start {
+                        // What went on begins anew.
+                        OpenAs::GoingOn(_) => OpenAs::Afresh,
+                        start => start.clone(),
+                    };
+                    // Into an empty map something has to be fused, even where that was switched off meanwhile.
+                    settings.map.fuse |= start == OpenAs::Afresh;
+                    self.open(Open { settings: *settings, run, start, ..reconstruction.open.clone() });
                 }
             }
-            Command::TrackIn(map) => self.track_in(map),
+            Command::TrackIn(map) => self.start_in(&map, OpenAs::InMap(map.clone())),
+            Command::GoOn(map) => self.start_in(&map, OpenAs::GoingOn(map.clone())),
             Command::Run(run) => self.set_running(run),
             Command::Step => {
                 self.set_running(false);
@@ -227,19 +257,21 @@ impl Worker {
                 }
             }
             Command::Settings(settings) => self.change_settings(&settings),
-            Command::Pick(pixel) => self.pick(pixel),
+            Command::Pick(shown, pixel) => self.pick(&shown, pixel),
             Command::Save(path) => self.save(&path),
             Command::Mesh(path) => self.mesh(&path),
             Command::Capture(what) => self.set_capture(what),
         }
     }
 
-    fn track_in(&mut self, map: PathBuf) {
+    /// Starts the open recording again, in a saved map or after it.
+    fn start_in(&mut self, map: &Path, start: OpenAs) {
         let Opened::Recording(reconstruction) = &self.opened else { return };
-        match SavedSession::open(&map) {
+        match SavedSession::open(map) {
             Ok(saved) => {
                 let open = reconstruction.open.clone();
-                self.open(Open { settings: saved.settings, in_map: Some(map), run: true, ..open });
+                let poses = if matches!(start, OpenAs::GoingOn(_)) { saved.poses } else { open.poses };
+                self.open(Open { settings: saved.settings, poses, start, run: true, ..open });
             }
             Err(error) => self.tell(Kind::Error, causes(&error)),
         }
@@ -260,10 +292,8 @@ impl Worker {
         self.shared.change(|state| state.running = running);
     }
 
-    pub(super) fn begin_keeping(&mut self) {
-        let (Some(keeper_for), Opened::Recording(reconstruction)) = (&mut self.keeper_for, &mut self.opened) else {
-            return;
-        };
+    fn begin_keeping(&mut self, reconstruction: &mut Reconstruction) {
+        let Some(keeper_for) = &mut self.keeper_for else { return };
         match keeper_for(&reconstruction.open.path, &mut reconstruction.session) {
             Ok(keeper) => reconstruction.keeper = Some(keeper),
             Err(reason) => self.tell(Kind::Warning, format!("results are not kept: {reason}")),
@@ -283,7 +313,9 @@ impl Worker {
                     self.keep(&mut reconstruction, &event);
                 }
             }
-            self.finish_keeping(&mut reconstruction);
+            if !reconstruction.finished {
+                self.finish_keeping(&mut reconstruction);
+            }
         }
         self.running = false;
     }
@@ -298,7 +330,7 @@ impl Worker {
     }
 
     fn finish_keeping(&self, reconstruction: &mut Reconstruction) {
-        let Some(keeper) = reconstruction.keeper.take() else { return };
+        let Some(keeper) = &mut reconstruction.keeper else { return };
         self.busy(Some("writing the results"));
         let kept = keeper.finish(&mut reconstruction.session);
         self.busy(None);
@@ -312,6 +344,9 @@ impl Worker {
     fn advance(&mut self) {
         let mut opened = std::mem::replace(&mut self.opened, Opened::Nothing);
         if let Opened::Recording(reconstruction) = &mut opened {
+            if !std::mem::replace(&mut reconstruction.begun, true) {
+                self.begin_keeping(reconstruction);
+            }
             match reconstruction.session.next() {
                 Some(event) => {
                     self.take(reconstruction, &event);
@@ -364,7 +399,10 @@ impl Worker {
                     text = format!("the reconstruction has ended: {error}");
                     kind = Kind::Error;
                 }
-                self.tell(kind, text);
+                self.shared.change(|state| {
+                    summary.reports.iter().for_each(|report| note_report(state, report));
+                    state.say(None, kind, text);
+                });
             }
             Event::Frame { result, total_ms } => {
                 let colour = session.frame().and_then(|frame| frame.colour.clone()).map(Arc::new);
@@ -429,6 +467,7 @@ impl Worker {
                     state.frame = Some(summary);
                 });
             }
+            _ => {}
         }
     }
 
@@ -458,7 +497,10 @@ impl Worker {
     fn preview(&mut self, frame: usize) {
         let Opened::Recording(reconstruction) = &mut self.opened else { return };
         if reconstruction.preview.is_none() {
-            reconstruction.preview = recording::open(&reconstruction.open.path, &reconstruction.open.options).ok();
+            match recording::open(&reconstruction.open.path, &reconstruction.open.options) {
+                Ok(recording) => reconstruction.preview = Some(recording),
+                Err(error) => return self.tell(Kind::Warning, causes(&error)),
+            }
         }
         let Some(recording) = &mut reconstruction.preview else { return };
         match recording.read(frame) {
@@ -497,9 +539,7 @@ impl Worker {
         });
     }
 
-    fn pick(&mut self, pixel: (u32, u32)) {
-        let shown = self.shared.state().shown.clone();
-        let Some(shown) = shown else { return };
+    fn pick(&mut self, shown: &Shown, pixel: (u32, u32)) {
         match shown.canvas.depth(&self.device, pixel) {
             Ok(depth) => {
                 let point = depth.map(|z| {
@@ -536,7 +576,7 @@ impl Worker {
         };
         let written = self.opened.slam_mut().map(|slam| {
             let mesh = slam.mesh(&mut progress).map_err(|error| causes(&error))?;
-            itm_io::mesh::write(path, &mesh, &itm_io::mesh::MeshOptions::default()).map_err(|error| causes(&error))?;
+            itm_io::mesh::write(path, &mesh, &itm_io::mesh::WriteOptions::default()).map_err(|error| causes(&error))?;
             Ok::<_, String>(mesh.triangles.len())
         });
         self.busy(None);
@@ -560,10 +600,12 @@ impl Worker {
                 }
             });
         }
+        self.painter.recorded = false;
         let Some((kind, path)) = what else { return };
         match Capture::begin(kind, &path) {
             Ok(capture) => {
                 self.capture = Some(capture);
+                self.painter.recorded = true;
                 self.painter.forget();
                 self.shared.change(|state| state.recording = Some((path, 0)));
             }
