@@ -1,5 +1,5 @@
-// Takes over what `insert` did into the counters.
-import package::shared::surfel::{USED, FREE, TAKEN, NEW, DROPPED};
+// Takes over what `insert` and `extend` did into the counters.
+import package::shared::surfel::{USED, FREE, TAKEN, SEEN, NEW, DROPPED};
 
 struct Params {
     capacity: u32,
@@ -15,5 +15,6 @@ fn main() {
     let placed = min(behind, params.capacity - counters[USED]);
     counters[TAKEN] += in_free;
     counters[USED] += placed;
+    counters[SEEN] += in_free + placed;
     counters[DROPPED] = behind - placed;
 }

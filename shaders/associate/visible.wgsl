@@ -33,6 +33,9 @@ struct Params {
 @group(0) @binding(4) var<storage, read_write> seen: array<u32>;
 @if(combined) @group(0) @binding(5) var<storage, read> camera_from_submaps: array<mat4x4<f32>>;
 
+// Frames from one that removes what was not seen for long to the next.
+const FORGETS_EVERY: u32 = 16u;
+
 fn is_in_view(p: vec3<f32>) -> bool {
     let range = params.camera.depth_range;
     let pixel = project(params.camera, p);
@@ -44,6 +47,8 @@ fn is_in_view(p: vec3<f32>) -> bool {
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let used = atomicLoad(&counters[USED]);
     let count = min(params.page, used - min(params.first, used));
+    // Now and then: it takes a look at most of the map.
+    let forgets = params.frame % FORGETS_EVERY == 0u;
     var stable = 0u;
     var removed = 0u;
     for (var chunk = id.x; chunk * 32u < params.page && params.first / 32u + chunk < params.chunks; chunk += groups.x * 64u) {
@@ -58,8 +63,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
             }
             @if(removing) {
                 stable += u32(place.w >= params.stable);
-                var is_forgotten = is_meant && place.w < params.stable;
-                is_forgotten = is_forgotten && params.frame - min(params.frame, attributes[i].z) > params.forget_after;
+                var is_forgotten = false;
+                if forgets && is_meant && place.w < params.stable {
+                    is_forgotten = params.frame - min(params.frame, attributes[i].z) > params.forget_after;
+                }
                 @if(of_submap) {
                     is_forgotten = is_forgotten || (!is_meant && place.w > 0.0 && place.w < params.kept_elsewhere);
                 }

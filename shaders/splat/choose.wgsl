@@ -16,6 +16,12 @@ struct Params {
     window_m: f32,
     window_deviations: f32,
     preferred: f32,
+    // Discs of less are not drawn.
+    least: f32,
+    // Unstable ones that were seen last before this frame neither.
+    since: u32,
+    stable: f32,
+    unused: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -37,7 +43,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
             continue;
         }
         let place = places[at];
+        if place.w <= 0.0 || place.w < params.least {
+            continue;
+        }
         let own = attributes[at];
+        if place.w < params.stable && own.z < params.since {
+            continue;
+        }
         @if(!combined) let camera_from_surfel = params.camera_from_world;
         @if(combined) let camera_from_surfel = camera_from_submaps[submap_of(own.y)];
         let centre = (camera_from_surfel * vec4(place.xyz, 1.0)).xyz;

@@ -15,6 +15,7 @@ pub struct Absorb {
     update: Pipeline,
     count: Pipeline,
     insert: Pipeline,
+    extend: Pipeline,
     settle: Pipeline,
     dead: Pipeline,
     free: Pipeline,
@@ -29,6 +30,7 @@ impl Absorb {
             update: plain(&absorb::update::PASS),
             count: plain(&absorb::count::PASS),
             insert: plain(&absorb::insert::PASS),
+            extend: plain(&absorb::extend::PASS),
             settle: plain(&absorb::settle::PASS),
             dead: plain(&absorb::dead::PASS),
             free: plain(&absorb::free::PASS),
@@ -137,6 +139,10 @@ impl Absorb {
             };
             recorder.dispatch(&self.insert, &bindings, over_chunks);
         }
+        let params = absorb::extend::Params { capacity: map.capacity(), chunks, room: map.room(), unused: 0 };
+        let (counters, wanted, free, listed) = (&map.counters, &pixels.wanted, &map.free, &map.listed);
+        let bindings = absorb::extend::Bindings { params, counters, wanted, free, listed };
+        recorder.dispatch(&self.extend, &bindings, over_chunks);
         let params = absorb::settle::Params { capacity: map.capacity() };
         let bindings = absorb::settle::Bindings { params, counters: &map.counters };
         recorder.dispatch(&self.settle, &bindings, Groups::Count([1, 1, 1]));

@@ -15,6 +15,8 @@ pub struct Drawn {
     pub least: f32,
     /// Where there are any of at least this one, only those.
     pub preferred: f32,
+    /// Of unstable ones only those that this frame, or a later one, has seen last.
+    pub since: u32,
     /// Discs are drawn with so many of their radii.
     pub reach: f32,
 }
@@ -55,11 +57,43 @@ impl Splat {
         drawn: Drawn,
     ) {
         recorder.stage("splat");
+        let poses = map.camera_from_submaps(options);
+        self.list.record(recorder, map, pixels, options, Some(drawn.least), poses.as_ref());
+        self.draw(recorder, map, pixels, image, options, drawn, poses.as_ref());
+    }
+
+    /// The same from the pose that [`crate::associate`] and [`crate::absorb`] had with these options, whose list holds the surfels in
+    /// view already: no other is made.
+    ///
+    /// # Panics
+    /// As [`Splat::record`].
+    pub fn record_listed(
+        &self,
+        recorder: &mut Recorder,
+        map: &SurfelMap,
+        pixels: &SurfelView,
+        image: &RaycastImage,
+        options: &SurfelOptions<'_>,
+        drawn: Drawn,
+    ) {
+        recorder.stage("splat");
+        self.draw(recorder, map, pixels, image, options, drawn, None);
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "what is drawn, how, and into what")]
+    fn draw(
+        &self,
+        recorder: &mut Recorder,
+        map: &SurfelMap,
+        pixels: &SurfelView,
+        image: &RaycastImage,
+        options: &SurfelOptions<'_>,
+        drawn: Drawn,
+        camera_from_submaps: Option<&wgpu::Buffer>,
+    ) {
         let camera = image.camera();
         assert_eq!(*camera, pixels.camera, "an image of another camera");
-        let poses = map.camera_from_submaps(options);
-        let (camera_from_submaps, variant) = (poses.as_ref(), usize::from(poses.is_some()));
-        self.list.record(recorder, map, pixels, options, Some(drawn.least), camera_from_submaps);
+        let variant = usize::from(camera_from_submaps.is_some());
         let pose = options.world_from_camera;
         // What the pixels keep of measurements is done with.
         let nearest = &pixels.best;
@@ -82,7 +116,11 @@ impl Splat {
                     reach,
                     largest_px,
                     preferred,
-                    unused: [0; 2],
+                    least: drawn.least,
+                    since: drawn.since,
+                    stable: options.settings.stable,
+                    unused_a: 0,
+                    unused_b: [0; 2],
                 },
                 counters: &map.counters,
                 listed: &map.listed,
@@ -106,6 +144,10 @@ impl Splat {
                     window_m,
                     window_deviations: options.settings.window_deviations,
                     preferred,
+                    least: drawn.least,
+                    since: drawn.since,
+                    stable: options.settings.stable,
+                    unused: 0,
                 },
                 counters: &map.counters,
                 listed: &map.listed,

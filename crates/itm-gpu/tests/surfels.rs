@@ -42,7 +42,7 @@ const NORMAL: f32 = 3e-4;
 const RADIUS: f32 = 4e-4;
 
 /// All surfels alike.
-const ALL: Drawn = Drawn { least: 0.0, preferred: 0.0, reach: 1.0 };
+const ALL: Drawn = Drawn { least: 0.0, preferred: 0.0, since: 0, reach: 1.0 };
 
 /// The stages, compiled once for a device.
 struct Stages {
@@ -144,6 +144,18 @@ impl<'a> Fusion<'a> {
         self.stages.splat.record(&mut recorder, &self.map, &pixels, &image, &self.options(pose), drawn);
         let _untimed = recorder.submit();
         let colours = pixels.read_colours(device).unwrap();
+        (image.read_points(device).unwrap(), image.read_normals(device).unwrap(), colours)
+    }
+
+    /// The same from the pose that was fused last, with the list that is there.
+    fn splat_listed(&self, pose: &Se3, drawn: Drawn) -> (Image<[f32; 4]>, Image<[f32; 4]>, ColourImage) {
+        let device = &self.gpu.device;
+        let image = RaycastImage::new(device, self.calibration.depth).unwrap();
+        let mut recorder = Recorder::new(device);
+        let (splat, options) = (&self.stages.splat, self.options(pose));
+        splat.record_listed(&mut recorder, &self.map, &self.pixels, &image, &options, drawn);
+        let _untimed = recorder.submit();
+        let colours = self.pixels.read_colours(device).unwrap();
         (image.read_points(device).unwrap(), image.read_normals(device).unwrap(), colours)
     }
 
@@ -313,7 +325,9 @@ proptest! {
         let pixels = camera.pixels();
         let mut fusion = Fusion::new(stages, calibration, 32);
         fusion.view_options.vertices = Some(reach);
-        fusion.frame = 29;
+        // The next one is one that forgets.
+        fusion.frame = 31;
+        fusion.settings.forget_after = 22;
         if wide {
             fusion.settings.reach = 1.6;
             fusion.settings.merge_m = 0.03;
@@ -493,7 +507,7 @@ proptest! {
         let model = RaycastImage::new(device, camera).unwrap();
         let cells = Segmentation::new(device, camera, &settings.dynamics);
         let mut recorder = Recorder::new(device);
-        let drawn = Drawn { least: 0.0, preferred: 8.0, reach: 1.5 };
+        let drawn = Drawn { least: 0.0, preferred: 8.0, since: 0, reach: 1.5 };
         stages.1.splat.record(&mut recorder, &fusion.map, &fusion.pixels, &model, &fusion.options(&world_from_model), drawn);
         let options = fusion.options(&pose);
         let calibration = &fusion.calibration;
@@ -551,6 +565,7 @@ proptest! {
     #[test]
     fn each_pixel_shows_the_disc_that_the_reference_shows(
         size in size(), drawn_from in pose(), motion in pose(), seed: u64, negative_fy: bool, near: bool, wide: bool,
+        since in 0u32..29,
     ) {
         let Some(stages) = gpu() else { return Ok(()) };
         let camera = camera(size, negative_fy);
@@ -574,7 +589,7 @@ proptest! {
             world_from_camera: &pose,
             depth_range_m: RANGE_M,
             settings: &settings,
-            drawn: Drawn { least: 2.0, preferred: 8.0, reach: if wide { 1.4 } else { 1.0 } },
+            drawn: Drawn { least: 2.0, preferred: 8.0, since, reach: if wide { 1.4 } else { 1.0 } },
         };
         let (points, normals, colours) = fusion.splat(camera, &pose, look.drawn);
         let slots = parsed(&words);
@@ -687,7 +702,7 @@ fn a_second_run_leaves_the_same_bytes() {
     assert_eq!(one.map.read_record().unwrap(), two.map.read_record().unwrap());
     let pose = Se3::exp([0.01, 0.0, 0.02, 0.0, 0.1, 0.0]);
     let camera = common::camera(81, 61);
-    const SOME: Drawn = Drawn { least: 0.5, preferred: 5.0, reach: 1.0 };
+    const SOME: Drawn = Drawn { least: 0.5, preferred: 5.0, since: 0, reach: 1.0 };
     assert!(one.splat(camera, &pose, SOME) == two.splat(camera, &pose, SOME));
 }
 
@@ -925,6 +940,73 @@ fn pages_make_no_difference() {
 }
 
 #[test]
+fn what_was_fused_is_drawn_with_the_list_that_is_there_as_with_another() {
+    let Some(stages) = gpu() else { return };
+    let camera = common::camera(80, 60);
+    let (mut fusion, mut noise) = (Fusion::new(stages, common::one_camera(camera), 40_000), Noise(3));
+    for i in 0..12 {
+        let pose = Se3::exp([0.01 * f64::from(i), 0.0, 0.0, 0.0, 0.03 * f64::from(i), 0.0]);
+        fusion.see(noisy(&scene().depth(&camera, &pose), &mut noise), Some(common::colours(&camera)));
+        let record = fusion.fuse(&pose);
+        if i % 3 == 2 {
+            fusion.find_free();
+        }
+        for least in [0.0, 2.0] {
+            let drawn = Drawn { least, preferred: 3.0, since: 8, reach: 1.0 };
+            let (listed, fresh) = (fusion.splat_listed(&pose, drawn), fusion.splat(camera, &pose, drawn));
+            // Of discs about as well known the first in the list is drawn, and new ones come last here: another one of the same surface.
+            let there = |points: &Image<[f32; 4]>| points.data().iter().map(|p| p[3] > 0.0).collect::<Vec<_>>();
+            assert!(there(&listed.0) == there(&fresh.0), "frame {i}");
+            let pairs = || listed.0.data().iter().zip(fresh.0.data()).filter(|(a, _)| a[3] > 0.0);
+            let others = pairs().filter(|(a, b)| a != b).count();
+            assert!(others * 50 <= pairs().count(), "frame {i}: {others} of {}", pairs().count());
+            for (a, b) in pairs() {
+                let [a, b] = [a, b].map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into()));
+                assert!(a.distance(b) < 0.1, "frame {i}: {a} and {b}");
+            }
+        }
+        assert!(record.new > 0, "frame {i}");
+    }
+}
+
+#[test]
+fn what_leaves_the_view_stays_and_what_is_looked_at_and_not_seen_again_goes() {
+    let Some(stages) = gpu() else { return };
+    let camera = common::camera(64, 48);
+    let wall = |distance: f64| Scene(vec![Shape::Plane { normal: DVec3::NEG_Z, distance: -distance }]);
+    let away = Se3::exp([0.0, 0.0, 0.0, 0.0, 1.2, 0.0]);
+    let mut fusion = Fusion::new(stages, common::one_camera(camera), 20_000);
+    fusion.settings.patience = 5;
+    fusion.settings.forget_after = 60;
+    fusion.see(wall(1.5).depth(&camera, &Se3::IDENTITY), None);
+    let first = fusion.fuse(&Se3::IDENTITY).new;
+    let of_wall = |fusion: &Fusion<'_>| fusion.surfels().iter().filter(|s| s.seen == 1).count() as u32;
+    assert!(first > 2000 && of_wall(&fusion) == first);
+    // Nobody looks.
+    for _ in 0..20 {
+        fusion.see(Scene(Vec::new()).depth(&camera, &away), None);
+        fusion.fuse(&away);
+    }
+    assert_eq!(of_wall(&fusion), first);
+    // Something stands before it.
+    fusion.see(wall(1.0).depth(&camera, &Se3::IDENTITY), None);
+    fusion.fuse(&Se3::IDENTITY);
+    assert_eq!(of_wall(&fusion), first);
+    // The wall behind it is seen: it was none. So few times nothing there is stable, and its age alone says so.
+    fusion.see(wall(2.0).depth(&camera, &Se3::IDENTITY), None);
+    fusion.fuse(&Se3::IDENTITY);
+    assert!(of_wall(&fusion) < first / 20, "{} of {first} are left", of_wall(&fusion));
+    // What nobody looks at is forgotten in the end.
+    let near = fusion.surfels().len();
+    assert!(near > 2000);
+    for _ in 0..80 {
+        fusion.see(Scene(Vec::new()).depth(&camera, &away), None);
+        fusion.fuse(&away);
+    }
+    assert!(fusion.surfels().is_empty(), "{} of {near} are left", fusion.surfels().len());
+}
+
+#[test]
 fn a_plane_stays_a_plane_of_as_many_surfels_as_pixels() {
     let Some(stages) = gpu() else { return };
     let camera = common::camera(64, 48);
@@ -949,7 +1031,8 @@ fn a_plane_stays_a_plane_of_as_many_surfels_as_pixels() {
         let turned = surfels.iter().map(|s| s.normal.as_dvec3().distance(plane.normal(DVec3::ZERO, DVec3::ZERO)));
         assert!(turned.fold(0.0, f64::max) < 2e-2);
         // Seen again, it has no holes.
-        let (points, ..) = fusion.splat(camera, &Se3::IDENTITY, Drawn { least: 5.0, preferred: 5.0, reach: 1.0 });
+        let (points, ..) =
+            fusion.splat(camera, &Se3::IDENTITY, Drawn { least: 5.0, preferred: 5.0, since: 0, reach: 1.0 });
         let inner = |i: usize| {
             let (x, y) = (i as u32 % camera.width, i as u32 / camera.width);
             (4..camera.width - 4).contains(&x) && (4..camera.height - 4).contains(&y)

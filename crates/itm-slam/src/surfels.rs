@@ -269,6 +269,8 @@ impl Surfels {
         Drawn {
             least: 0.0,
             preferred: if self.age(submap) <= own.all_for { 0.0 } else { own.track_from },
+            // What was seen in passing, and long ago, may have been noise.
+            since: self.age(submap).saturating_sub(own.patience),
             reach: own.reach,
         }
     }
@@ -307,7 +309,7 @@ impl Surfels {
         if self.fused.is_multiple_of(FREE_EVERY) {
             self.absorb.record_free(&mut recorder, &self.map, &self.pixels);
         }
-        self.splat.record(&mut recorder, &self.map, &self.pixels, image, &options, self.tracked(*submap));
+        self.splat.record_listed(&mut recorder, &self.map, &self.pixels, image, &options, self.tracked(*submap));
         let found = Found::OnDevice(self.map.record_counters(&mut recorder));
         times.push(recorder.submit());
         let (place, frame) = at;
@@ -355,7 +357,7 @@ impl Surfels {
             &pixels,
             &image,
             &options,
-            Drawn { least, preferred: least, reach: self.settings.surfels.overlap },
+            Drawn { least, preferred: least, since: 0, reach: self.settings.surfels.overlap },
         );
         let _untimed = recorder.submit();
         Ok((image, pixels))

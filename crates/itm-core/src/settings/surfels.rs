@@ -132,7 +132,7 @@ impl Default for SurfelSettings {
             window_deviations: 2.0,
             max_angle_rad: 1.0,
             normal_reach_px: 3,
-            max_slant_rad: 1.3,
+            max_slant_rad: 1.5,
             coarser: 1.5,
             finer: 2.0,
             reach: 1.0,

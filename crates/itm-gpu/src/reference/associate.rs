@@ -24,6 +24,9 @@ pub struct Measured<'a> {
     pub frame: u32,
 }
 
+/// Frames from one that removes what was not seen for long to the next.
+pub const FORGETS_EVERY: u32 = 16;
+
 /// What a surfel is to a frame. Pixels are numbered row by row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
@@ -47,7 +50,11 @@ pub enum Role {
 pub fn role(surfel: &Surfel, measured: &Measured<'_>, margin_m: f64) -> Option<Role> {
     let settings = measured.settings;
     let unseen = measured.frame.saturating_sub(surfel.seen);
-    if surfel.confidence < settings.stable && unseen > settings.forget_after {
+    // Which takes a look at most of the map: now and then.
+    if measured.frame.is_multiple_of(FORGETS_EVERY)
+        && surfel.confidence < settings.stable
+        && unseen > settings.forget_after
+    {
         return Some(Role::Forgotten);
     }
     let camera_from_world = measured.world_from_camera.inverse();

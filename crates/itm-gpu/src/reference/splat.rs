@@ -36,8 +36,11 @@ pub fn meet(surfel: &Surfel, look: &Look<'_>, pixel: DVec2, margin_m: f64) -> Op
     let centre = camera_from_world.transform_point(surfel.position.as_dvec3());
     let normal = camera_from_world.transform_vector(surfel.normal.as_dvec3());
     let [near_m, far_m] = look.depth_range_m.map(f64::from);
-    let is_seen =
-        surfel.confidence >= look.drawn.least && centre.z >= near_m - margin_m && centre.z <= far_m + margin_m;
+    let is_recent = surfel.confidence >= look.settings.stable || surfel.seen >= look.drawn.since;
+    let is_seen = is_recent
+        && surfel.confidence >= look.drawn.least
+        && centre.z >= near_m - margin_m
+        && centre.z <= far_m + margin_m;
     if !is_seen {
         return None;
     }
@@ -94,7 +97,7 @@ mod tests {
             world_from_camera: &Se3::IDENTITY,
             depth_range_m: [0.2, 4.0],
             settings: &settings,
-            drawn: Drawn { least: 1.0, preferred: 5.0, reach: 1.0 },
+            drawn: Drawn { least: 1.0, preferred: 5.0, since: 0, reach: 1.0 },
         };
         let surfel = |z: f32, confidence: f32| {
             let position = Vec3::new(0.0, 0.0, z);
