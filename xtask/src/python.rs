@@ -15,6 +15,9 @@ const PACKAGE: &str = "crates/itm-py";
 /// The versions of what its tests take, from there.
 const REQUIREMENTS: &str = "tests/requirements.txt";
 
+/// Names the program `itm` to the tests, which compare its results with the package's.
+const PROGRAM: &str = "ITM_PROGRAM";
+
 /// What an interpreter must have.
 const FITS: &str = "import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 9))";
 
@@ -22,6 +25,8 @@ const FITS: &str = "import sys, venv, ensurepip; sys.exit(sys.version_info < (3,
 pub(crate) fn step(installing: Installing) -> Result<Step> {
     let mut command = Command::new(std::env::current_exe().context("can't find this program")?);
     command.arg("python");
+    // The steps before have built it, of these very sources.
+    command.env(PROGRAM, target_folder().join("debug").join(format!("itm{}", std::env::consts::EXE_SUFFIX)));
     if installing == Installing::Forbidden {
         command.arg("--no-install");
     }
@@ -78,7 +83,7 @@ fn environment(installing: Installing) -> Result<Environment> {
     let mut install = environment.command("python");
     install.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-r"]).arg(&requirements);
     run(&mut install).with_context(|| {
-        "pip can't install what the tests of the Python package take (maturin, mypy, numpy, pytest, trimesh). They need PyPI, or \
+        "pip can't install what the tests of the Python package take (maturin, mcap, mypy, numpy, pytest, trimesh). They need PyPI, or \
          a mirror that pip knows; where there is none, set ITM_SKIP_PYTHON_TESTS=1 to leave these tests out"
             .to_string()
     })?;

@@ -20,7 +20,7 @@ use crate::settings::{FrameRange, SettingsArguments};
 /// Watch a reconstruction in a window, or look at a saved map
 ///
 /// A recording is reconstructed as 'itm run' does it, with the same settings, while the map can be looked at from anywhere. A map
-/// (.itm) can be looked at, meshed, and a recording tracked in it. Without a path the window says what to do; files can be dropped on it.
+/// (.itm) can be looked at and meshed, and a recording tracked in it or gone on with. Without a path the window says what to do; files can be dropped on it.
 #[derive(Args)]
 #[command(after_help = "\
 Examples:

@@ -51,6 +51,45 @@ fn summary(output: &Output) -> serde_json::Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
+/// What a program that embeds the crate does makes the bytes that this one makes.
+#[test]
+fn a_loop_over_frames_makes_the_programs_bytes() {
+    use itm_slam::{Device, Mode, Poses, Session, Settings, Slam};
+    if skipped() {
+        return;
+    }
+    let folder = with_recording(10);
+    let device = Device::open("auto").unwrap();
+    for mode in [Mode::Basic, Mode::LoopClosure, Mode::Surfels] {
+        let (out, map) = (mode.name(), format!("{}.itm", mode.name()));
+        succeed(command(folder.path(), out).args(["--no-mesh", "--mode", mode.name(), "--save", &map]));
+        let options = itm_io::recording::OpenOptions::default();
+        let mut recording = itm_io::recording::open(&folder.path().join("room"), &options).unwrap();
+        let info = recording.info().clone();
+        let overrides: Vec<String> =
+            COARSE.iter().filter(|word| **word != "--set").map(|word| (*word).to_owned()).collect();
+        let settings = Settings { mode, ..Settings::resolve(None, &overrides).unwrap() };
+        let settings = Session::fit(&settings, &info, Poses::Tracked);
+        let mut slam = Slam::new(&device, &info.calibration, &settings, Poses::Tracked).unwrap();
+        for index in 0..info.frames {
+            slam.process(&recording.read(index).unwrap()).unwrap();
+        }
+        slam.finish().unwrap();
+        let own = folder.path().join("own.itm");
+        slam.save(&own).unwrap();
+        assert!(fs::read(own).unwrap() == fs::read(folder.path().join(map)).unwrap(), "{out}");
+        slam.settle();
+        let own = folder.path().join("own.txt");
+        let mut writer = itm_io::trajectory::TumWriter::create(&own, itm_io::trajectory::TimeColumn::Seconds).unwrap();
+        for (pose, number) in slam.corrected_trajectory().poses().iter().zip(0..) {
+            writer.write(number, pose).unwrap();
+        }
+        drop(writer);
+        let written = fs::read(folder.path().join(out).join("trajectory.txt")).unwrap();
+        assert!(fs::read(own).unwrap() == written, "{out}");
+    }
+}
+
 #[test]
 fn a_run_leaves_its_results_and_a_second_one_the_same_bytes() {
     if skipped() {

@@ -31,10 +31,14 @@ impl Display {
     }
 
     fn itm(&self, folder: &Path, arguments: &[&str]) -> Output {
+        self.command(folder, arguments).output().expect("the program starts")
+    }
+
+    fn command(&self, folder: &Path, arguments: &[&str]) -> Command {
         let mut itm = Command::new(env!("CARGO_BIN_EXE_itm"));
         itm.args(arguments).current_dir(folder).env("HOME", folder).env("XDG_DATA_HOME", folder);
         itm.env("DISPLAY", format!(":{}", self.number)).env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
-        itm.output().expect("the program starts")
+        itm
     }
 }
 
@@ -43,6 +47,11 @@ impl Drop for Display {
         let _gone = self.server.kill();
         let _ended = self.server.wait();
     }
+}
+
+/// Whether windows cannot be tested here.
+fn skips() -> bool {
+    std::env::var_os("ITM_SKIP_GPU_TESTS").is_some()
 }
 
 fn picture(path: &Path) -> image::RgbImage {
@@ -56,6 +65,9 @@ fn colours(picture: &image::RgbImage) -> usize {
 
 #[test]
 fn a_recording_is_reconstructed_in_the_window_and_its_map_looked_at() {
+    if skips() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let sequence = Sequence::new(Spec::new(itm_synth::Path::Arc).with_size(160, 120).with_frames(12)).unwrap();
@@ -93,7 +105,58 @@ fn a_recording_is_reconstructed_in_the_window_and_its_map_looked_at() {
 }
 
 #[test]
+fn a_window_that_is_interrupted_writes_its_results_first() {
+    if skips() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out/room-view");
+    let spec = Spec::new(itm_synth::Path::Loop).with_size(160, 120).with_frames(150);
+    itm_synth::write_recording(&folder.path().join("room"), &Sequence::new(spec).unwrap(), &|_| ()).unwrap();
+    let display = Display::start();
+    // One that only waits leaves the results of an earlier run alone.
+    std::fs::create_dir_all(&out).unwrap();
+    std::fs::write(out.join("report.html"), "earlier").unwrap();
+    let mut waiting =
+        display.command(folder.path(), &["view", "room", "--paused", "--size", "700x500"]).spawn().unwrap();
+    std::thread::sleep(std::time::Duration::from_secs(2));
+    interrupt(&mut waiting);
+    assert_eq!(std::fs::read_to_string(out.join("report.html")).unwrap(), "earlier");
+
+    let mut window = display.command(folder.path(), &["view", "room", "--size", "700x500"]).spawn().unwrap();
+    let poses = || std::fs::read_to_string(out.join("trajectory.txt")).unwrap_or_default().lines().count();
+    let started = std::time::Instant::now();
+    while poses() < 8 {
+        assert!(started.elapsed().as_secs() < 60, "{} poses", poses());
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    interrupt(&mut window);
+    assert!(poses() >= 8 && poses() < 150, "{} poses", poses());
+    for name in ["mesh.ply", "timings.csv"] {
+        assert!(out.join(name).is_file(), "{name}");
+    }
+    assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains("<html"));
+}
+
+/// As Ctrl-C does, and waits for the program's end.
+fn interrupt(program: &mut Child) {
+    let asked = Command::new("kill").args(["-INT", &program.id().to_string()]).status().expect("kill starts");
+    assert!(asked.success());
+    let started = std::time::Instant::now();
+    loop {
+        if let Some(status) = program.try_wait().expect("it can be waited for") {
+            return assert!(status.success(), "{status}");
+        }
+        assert!(started.elapsed().as_secs() < 60, "it does not end");
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+}
+
+#[test]
 fn what_cannot_be_opened_is_said_in_the_window_and_without_a_display_by_the_program() {
+    if skips() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let display = Display::start();
     let output = display.itm(folder.path(), &["view", "nothing-here", "--picture", "window.png"]);

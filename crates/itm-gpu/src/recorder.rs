@@ -43,6 +43,9 @@ pub struct Recorder {
     /// What goes into the uniform buffers, one after the other.
     uniform_bytes: Vec<u8>,
     timer: Option<Timer>,
+    /// Where a paced device is timed: stages and milliseconds by the host's clock, which waits for each of them. Software drivers
+    /// read a pass's first time no sooner than they must, which may be once its work is done.
+    waited: Option<Vec<(&'static str, f64)>>,
 }
 
 impl std::fmt::Debug for Recorder {
@@ -81,13 +84,16 @@ impl Recorder {
             uniforms: Vec::new(),
             uniform_bytes: Vec::new(),
             timer: None,
+            waited: None,
         }
     }
 
     /// A recorder whose stages are timed, where the device can.
     pub fn timed(device: &Device) -> Self {
         let mut recorder = Self::new(device);
-        if device.capabilities().timestamps {
+        if device.is_paced() {
+            recorder.waited = Some(Vec::new());
+        } else if device.capabilities().timestamps {
             let bytes = u64::from(TIMED_PASSES) * 2 * 8;
             recorder.timer = Some(Timer {
                 queries: device.device.create_query_set(&wgpu::QuerySetDescriptor {
@@ -271,7 +277,7 @@ impl Recorder {
             }
         }
         self.flush();
-        StageTimes { timer: self.timer }
+        StageTimes { timer: self.timer, waited: self.waited }
     }
 
     /// Hands over what was recorded so far, and, where the device is paced, waits until it has been done.
@@ -283,12 +289,16 @@ impl Recorder {
         }
         let empty = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let recorded = std::mem::replace(&mut self.encoder, empty);
+        let started = std::time::Instant::now();
         self.device.submit(recorded.finish());
         self.device.return_uniforms(std::mem::take(&mut self.uniforms));
         self.uniform_bytes.clear();
         if self.device.is_paced() {
             // An error stays noted, and is found where the caller next waits.
             let _noted = self.device.wait();
+            if let Some(waited) = &mut self.waited {
+                waited.push((self.stage, started.elapsed().as_secs_f64() * 1e3));
+            }
         }
     }
 }
@@ -297,6 +307,7 @@ impl Recorder {
 #[must_use]
 pub struct StageTimes {
     timer: Option<Timer>,
+    waited: Option<Vec<(&'static str, f64)>>,
 }
 
 impl std::fmt::Debug for StageTimes {
@@ -312,17 +323,25 @@ impl StageTimes {
     /// # Errors
     /// Where the device was lost.
     pub fn read(self, device: &Device) -> Result<Vec<(&'static str, f64)>, Error> {
+        if let Some(waited) = self.waited {
+            return Ok(by_stage(waited.into_iter().filter(|(stage, _)| !stage.is_empty())));
+        }
         let Some(timer) = self.timer.filter(|t| !t.stages.is_empty()) else { return Ok(Vec::new()) };
         let ticks: Vec<u64> = device.read_staging(&timer.staging, 16 * timer.stages.len() as u64)?;
         let ms_per_tick = f64::from(device.queue.get_timestamp_period()) * 1e-6;
-        let mut times: Vec<(&'static str, f64)> = Vec::new();
-        for (stage, pair) in timer.stages.iter().zip(ticks.chunks_exact(2)) {
-            let ms = pair[1].saturating_sub(pair[0]) as f64 * ms_per_tick;
-            match times.iter_mut().find(|(name, _)| name == stage) {
-                Some((_, sum)) => *sum += ms,
-                None => times.push((stage, ms)),
-            }
-        }
-        Ok(times)
+        let ms = |pair: &[u64]| pair[1].saturating_sub(pair[0]) as f64 * ms_per_tick;
+        Ok(by_stage(timer.stages.into_iter().zip(ticks.chunks_exact(2).map(ms))))
     }
+}
+
+/// The sums of stages' times, in the order of their first ones.
+fn by_stage(times: impl Iterator<Item = (&'static str, f64)>) -> Vec<(&'static str, f64)> {
+    let mut sums: Vec<(&'static str, f64)> = Vec::new();
+    for (stage, ms) in times {
+        match sums.iter_mut().find(|(name, _)| *name == stage) {
+            Some((_, sum)) => *sum += ms,
+            None => sums.push((stage, ms)),
+        }
+    }
+    sums
 }
