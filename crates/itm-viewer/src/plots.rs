@@ -1,7 +1,7 @@
 //! Plots over the frames.
 
 use egui::{Color32, RichText, Ui};
-use egui_plot::{Line, Plot, PlotPoints, Points, VLine};
+use egui_plot::{AxisHints, Line, Plot, PlotPoints, Points, VLine};
 
 use crate::engine::state::{Row, State, Verdict};
 use crate::theme;
@@ -59,6 +59,9 @@ pub(crate) fn show(ui: &mut Ui, state: &State, plotted: Plotted, height: f32) {
         .allow_zoom(false)
         .allow_boxed_zoom(false)
         .include_y(0.0)
+        // The pane is low, and its lines lie near each other.
+        .custom_x_axes(vec![AxisHints::new_x().label_spacing(24.0..=40.0)])
+        .custom_y_axes(vec![AxisHints::new_y().label_spacing(8.0..=14.0)])
         .show_axes([true, true]);
     if rows.is_empty() {
         plot = plot.include_x(0.0).include_x(100.0).include_y(1.0);
