@@ -20,9 +20,9 @@ def test_others_read_our_mcap(room: Path, tmp_path: Path) -> None:
     read = subprocess.run([sys.executable, str(SCRIPT), "read", str(ours)], capture_output=True, text=True)
     assert read.returncode == 0, read.stderr
     found = [line.split() for line in read.stdout.splitlines()]
-    # A topic, its schema, how many messages, and of images their size and encoding.
+    # A topic, its schema, how many messages, and of images their size and encoding; the recording's depth is in fifths of millimetres.
     images = {line[1]: line[2:] for line in found if len(line) > 3}
-    assert images["foxglove.RawImage"] == ["10", "160", "120", "16UC1"], read.stdout
+    assert images["foxglove.RawImage"] == ["10", "160", "120", "32FC1"], read.stdout
     assert images["foxglove.CompressedImage"] == ["10", "160", "120", "png"], read.stdout
     counts = {line[1]: int(line[2]) for line in found}
     assert counts["foxglove.PoseInFrame"] == 10 and counts["foxglove.CameraCalibration"] >= 1, read.stdout

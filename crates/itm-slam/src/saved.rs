@@ -167,7 +167,7 @@ impl SavedMap {
         mesh_in_chunks(device, &mut self.combined()?, options, progress)
     }
 
-    /// The surface of one submap, in its own frame: see [`mesh_blocks`].
+    /// The surface of one submap, in its own frame: the triangles of just its blocks.
     ///
     /// # Errors
     /// As [`mesh_in_chunks`].

@@ -1,7 +1,7 @@
 //! Camera tracking: the optimisation of a pose over an objective that the GPU (or a CPU reference) evaluates.
 //!
 //! A tracker meets images only through [`Objective`]. [`Plan`] says what a kind of tracker evaluates at which level, one
-//! optimiser ([`optimise`]) carries every plan out, [`Motion`] says where to start, and a verdict says whether the result
+//! optimiser (`optimise`) carries every plan out, [`Motion`] says where to start, and a verdict says whether the result
 //! can be relied on.
 
 mod classifier;
