@@ -85,6 +85,15 @@ pub(crate) fn colour(value: &Bound<'_, PyAny>, calibration: &Calibration) -> PyR
             )));
         }
     };
+    if channels > 1 && !array.is_c_contiguous() {
+        // Numpy copies values one at a time where pixels lie apart; channel by channel it takes a third of that.
+        let py = value.py();
+        let channel = |number: usize| values(array.get_item((py.Ellipsis(), number))?.cast::<PyArrayDyn<u8>>()?);
+        let (red, green, blue) = (channel(0)?, channel(1)?, channel(2)?);
+        let alpha = if channels == 4 { channel(3)? } else { vec![u8::MAX; red.len()] };
+        let pixels = red.iter().zip(&green).zip(&blue).zip(&alpha).map(|(((r, g), b), a)| [*r, *g, *b, *a]);
+        return of_size(camera, pixels.collect());
+    }
     let bytes = values(array)?;
     let pixels = match channels {
         1 => bytes.iter().map(|&grey| [grey, grey, grey, u8::MAX]).collect(),
