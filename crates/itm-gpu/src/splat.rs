@@ -59,7 +59,7 @@ impl Splat {
         recorder.stage("splat");
         let poses = map.camera_from_submaps(options);
         self.list.record(recorder, map, pixels, options, Some(drawn.least), poses.as_ref());
-        self.draw(recorder, map, pixels, image, options, drawn, poses.as_ref());
+        self.record_listed(recorder, map, pixels, image, options, drawn);
     }
 
     /// The same from the pose that [`crate::associate`] and [`crate::absorb`] had with these options, whose list holds the surfels in
@@ -77,23 +77,10 @@ impl Splat {
         drawn: Drawn,
     ) {
         recorder.stage("splat");
-        self.draw(recorder, map, pixels, image, options, drawn, None);
-    }
-
-    #[expect(clippy::too_many_arguments, reason = "what is drawn, how, and into what")]
-    fn draw(
-        &self,
-        recorder: &mut Recorder,
-        map: &SurfelMap,
-        pixels: &SurfelView,
-        image: &RaycastImage,
-        options: &SurfelOptions<'_>,
-        drawn: Drawn,
-        camera_from_submaps: Option<&wgpu::Buffer>,
-    ) {
         let camera = image.camera();
         assert_eq!(*camera, pixels.camera, "an image of another camera");
-        let variant = usize::from(camera_from_submaps.is_some());
+        let poses = map.camera_from_submaps(options);
+        let (camera_from_submaps, variant) = (poses.as_ref(), usize::from(poses.is_some()));
         let pose = options.world_from_camera;
         // What the pixels keep of measurements is done with.
         let nearest = &pixels.best;
