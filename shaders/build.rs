@@ -29,9 +29,8 @@ const VARIANTS: &[(&str, &[Choice])] = &[
     ("raycast", &[F32, LISTED, PAGES]),
     ("render/colour", &[PAGES]),
     ("shrink/average", &[COLOUR]),
-    ("splat/choose", &[COMBINED]),
-    ("splat/draw", &[COMBINED]),
-    ("splat/nearest", &[COMBINED]),
+    ("splat/front", &[COMBINED]),
+    ("splat/lay", &[COMBINED]),
     ("swap/empty", &[F32]),
     // Colours, confidences, distances of both kinds.
     ("swap/merge", &[&[&[], &["confidences"], &["distances"], &["f32", "distances"]]]),

@@ -1,7 +1,8 @@
 // Which surfel of one page each pixel's measurement belongs to, and which of those that competed with it is to be merged with it: the
 // first of several stable ones. What stands in front of a well-known surface that is seen stands in free space, and is removed
 // (Keller et al. 2013, section 5.3), and so is what stays unstable though it is looked at.
-import package::shared::surfel::{SEEN, REMOVED, IN_FRONT, OLD, REFUTED, pixel_of, place_of, rank_of, rank_of_key};
+import package::shared::span::span;
+import package::shared::surfel::{SEEN, REMOVED, IN_FRONT, OLD, PREFERRED, REFUTED, pixel_of, place_of, rank_of, rank_of_key};
 
 struct Params {
     room: u32,
@@ -13,18 +14,25 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read_write> counters: array<atomic<u32>>;
 @group(0) @binding(2) var<storage, read> listed: array<u32>;
-@group(0) @binding(3) var<storage, read> targets: array<u32>;
+@group(0) @binding(3) var<storage, read> targets: array<vec2<u32>>;
 @group(0) @binding(4) var<storage, read> best: array<u32>;
 // The complements of surfels' indices; zeroed memory has none.
 @group(0) @binding(5) var<storage, read_write> chosen: array<u32>;
 @group(0) @binding(6) var<storage, read_write> rivals: array<atomic<u32>>;
 @group(0) @binding(7) var<storage, read_write> places: array<vec4<f32>>;
 
-@compute @workgroup_size(64)
-fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let count = min(atomicLoad(&counters[SEEN]), params.room);
-    for (var i = id.x; i < count; i += groups.x * 64u) {
-        let goal = targets[i];
+// Few on software drivers, whose invocations then read what lies next to each other.
+override LANES: u32 = 64u;
+
+@compute @workgroup_size(LANES)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(num_workgroups) groups: vec3<u32>,
+) {
+    let part = span(min(atomicLoad(&counters[SEEN]), params.room), group.x, groups.x);
+    for (var i = part.x + lane; i < part.y; i += LANES) {
+        let goal = targets[i].x;
         let index = listed[i];
         if goal == 0u || index < params.first || index - params.first >= params.page {
             continue;
@@ -37,7 +45,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         } else if is_free || (goal & OLD) != 0u {
             places[index - params.first] = vec4(0.0);
             atomicAdd(&counters[REMOVED], 1u);
-        } else if competes && places[index - params.first].w >= params.stable {
+        } else if competes && (targets[i].y & PREFERRED) != 0u {
             atomicMax(&rivals[pixel], ~index);
         }
     }

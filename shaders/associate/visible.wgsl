@@ -1,7 +1,7 @@
 // Which surfels of one page lie in the view, and how many of each 32 slots do. The slots' bits lie behind the counts of all pages.
 // With `of_submap` those of one submap alone; with `combined` those of all, as they lie in the world.
 // With `removing`, those that stayed unstable and were not seen for long are removed on the way.
-import package::shared::camera::{Camera, project};
+import package::shared::camera::Camera;
 import package::shared::surfel::{Attributes, USED, REMOVED, STABLE, submap_of};
 
 struct Params {
@@ -36,11 +36,12 @@ struct Params {
 // Frames from one that removes what was not seen for long to the next.
 const FORGETS_EVERY: u32 = 16u;
 
+// Without divisions: the position on the image, times the depth.
 fn is_in_view(p: vec3<f32>) -> bool {
     let range = params.camera.depth_range;
-    let pixel = project(params.camera, p);
-    let last = vec2<f32>(params.camera.size) - 1.0 + params.margin;
-    return p.z >= range.x && p.z <= range.y && all(pixel >= vec2(-params.margin)) && all(pixel <= last);
+    let pixel = params.camera.focal * p.xy + params.camera.centre * p.z;
+    let last = (vec2<f32>(params.camera.size) - 1.0 + params.margin) * p.z;
+    return p.z >= range.x && p.z <= range.y && all(pixel >= vec2(-params.margin * p.z)) && all(pixel <= last);
 }
 
 @compute @workgroup_size(64)

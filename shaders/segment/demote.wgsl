@@ -25,7 +25,7 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read_write> counters: array<atomic<u32>>;
 @group(0) @binding(2) var<storage, read> listed: array<u32>;
-@group(0) @binding(3) var<storage, read> targets: array<u32>;
+@group(0) @binding(3) var<storage, read> targets: array<vec2<u32>>;
 @group(0) @binding(4) var<storage, read> shown: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> facings: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> marks: array<u32>;
@@ -48,7 +48,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let count = min(atomicLoad(&counters[SEEN]), params.room);
     let width = params.camera.size.x;
     for (var i = id.x; i < count; i += groups.x * 64u) {
-        let goal = targets[i];
+        let goal = targets[i].x;
         let index = listed[i];
         if index < params.first || index - params.first >= params.page {
             continue;

@@ -8,7 +8,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
-@group(0) @binding(2) var<storage, read> targets: array<u32>;
+@group(0) @binding(2) var<storage, read> targets: array<vec2<u32>>;
 // 1 at such a pixel.
 @group(0) @binding(3) var<storage, read_write> vacant: array<atomic<u32>>;
 
@@ -16,8 +16,9 @@ struct Params {
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let count = min(counters[SEEN], params.room);
     for (var i = id.x; i < count; i += groups.x * 64u) {
-        if (targets[i] & IN_FRONT) != 0u && (targets[i] & KNOWN) != 0u {
-            atomicStore(&vacant[pixel_of(targets[i])], 1u);
+        let goal = targets[i].x;
+        if (goal & IN_FRONT) != 0u && (goal & KNOWN) != 0u {
+            atomicStore(&vacant[pixel_of(goal)], 1u);
         }
     }
 }

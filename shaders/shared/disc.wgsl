@@ -4,6 +4,25 @@ import package::shared::camera::{Camera, unproject};
 // Discs seen at less than this cosine from their side are not shown: they would be drawn out without end.
 const LEAST_FACING: f32 = 0.1;
 
+// A disc as the camera sees it, camera frame, metres. The radius is 0 where there is none.
+struct Disc {
+    centre: vec3<f32>,
+    radius: f32,
+    normal: vec3<f32>,
+    known: f32,
+}
+
+// How well a disc is known: its rank plus one, and for those that are preferred this much more, so that they come first.
+const OTHERS: f32 = 256.0;
+
+fn known_of(rank: u32, is_preferred: bool) -> f32 {
+    return f32(rank + 1u) + select(0.0, OTHERS, is_preferred);
+}
+
+fn rank_of_known(known: f32) -> u32 {
+    return u32(known - 1.0) & 255u;
+}
+
 // Depth at which a pixel's ray meets a disc (camera frame), or 0 where it does not.
 fn depth_on_disc(camera: Camera, pixel: vec2<f32>, centre: vec3<f32>, normal: vec3<f32>, radius: f32) -> f32 {
     let ray = unproject(camera, pixel, 1.0);

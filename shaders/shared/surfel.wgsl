@@ -45,7 +45,11 @@ fn rank_of(confidence: f32) -> u32 {
 // A surfel of a list by its rank and by its place there: the largest key is that of the best known, and of several alike of the
 // first. Never 0.
 fn key_of(confidence: f32, place: u32) -> u32 {
-    return (rank_of(confidence) << 24u) | (LAST_PLACE - place);
+    return key_of_rank(rank_of(confidence), place);
+}
+
+fn key_of_rank(rank: u32, place: u32) -> u32 {
+    return (rank << 24u) | (LAST_PLACE - place);
 }
 
 fn rank_of_key(key: u32) -> u32 {
@@ -56,6 +60,20 @@ fn place_of(key: u32) -> u32 {
     return LAST_PLACE - (key & LAST_PLACE);
 }
 
+// What later passes want to know of a surfel in view in one word: its depth, to a ten thousandth, whether it is preferred, and its rank.
+fn mark_of(z: f32, confidence: f32, preferred: f32) -> u32 {
+    return (bitcast<u32>(z) & MARK_DEPTH) | select(0u, PREFERRED, confidence >= preferred) | rank_of(confidence);
+}
+
+fn depth_of_mark(mark: u32) -> f32 {
+    return bitcast<f32>(mark & MARK_DEPTH);
+}
+
+fn rank_of_mark(mark: u32) -> u32 {
+    return mark & 255u;
+}
+
+const MARK_DEPTH: u32 = 0x7fffff00u;
 const LEAST_RANK: u32 = 1936u;
 // Lists are shorter.
 const LAST_PLACE: u32 = 0xffffffu;

@@ -1,65 +1,42 @@
-// The nearest depth at which each pixel's ray meets a disc: one that is known well enough, or, where there is none, any other.
+// The nearest depth at which each pixel's ray meets a large disc: one that is known well enough, or, where there is none, any other.
 import package::shared::camera::Camera;
-import package::shared::disc::{depth_on_disc, pixels_of_disc};
-import package::shared::surfel::{Attributes, SEEN, PREFERRED, submap_of, unpack_normal, unpack_radius};
+import package::shared::disc::{Disc, OTHERS, depth_on_disc, pixels_of_disc};
+import package::shared::span::span;
+import package::shared::surfel::{PREFERRED};
 
 struct Params {
     camera: Camera,
-    camera_from_world: mat4x4<f32>,
-    first: u32,
-    page: u32,
-    room: u32,
-    reach: f32,
     largest_px: f32,
-    // Discs of at least this confidence hide all others.
-    preferred: f32,
-    // Discs of less are not drawn.
-    least: f32,
-    // Unstable ones that were seen last before this frame neither.
-    since: u32,
-    stable: f32,
     unused_a: u32,
     unused_b: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> counters: array<u32>;
-@group(0) @binding(2) var<storage, read> listed: array<u32>;
-@group(0) @binding(3) var<storage, read> places: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> attributes: array<Attributes>;
+@group(0) @binding(1) var<storage, read> large: array<u32>;
+@group(0) @binding(2) var<storage, read> discs: array<Disc>;
 // The complement of the depth's bits; zeroed memory has none.
-@group(0) @binding(5) var<storage, read_write> nearest: array<atomic<u32>>;
-@if(combined) @group(0) @binding(6) var<storage, read> camera_from_submaps: array<mat4x4<f32>>;
+@group(0) @binding(3) var<storage, read_write> nearest: array<atomic<u32>>;
 
-@compute @workgroup_size(64)
-fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let count = min(counters[SEEN], params.room);
-    for (var i = id.x; i < count; i += groups.x * 64u) {
-        let at = listed[i] - params.first;
-        if listed[i] < params.first || at >= params.page {
-            continue;
-        }
-        let place = places[at];
-        // Since it was listed it may have been removed.
-        if place.w <= 0.0 || place.w < params.least {
-            continue;
-        }
-        let own = attributes[at];
-        if place.w < params.stable && own.z < params.since {
-            continue;
-        }
-        @if(!combined) let camera_from_surfel = params.camera_from_world;
-        @if(combined) let camera_from_surfel = camera_from_submaps[submap_of(own.y)];
-        let centre = (camera_from_surfel * vec4(place.xyz, 1.0)).xyz;
-        let normal = (camera_from_surfel * vec4(unpack_normal(own.x), 0.0)).xyz;
-        let radius = unpack_radius(own.y) * params.reach;
-        let is_preferred = place.w >= params.preferred;
-        let pixels = pixels_of_disc(params.camera, centre, normal, radius, params.largest_px);
+// Few on software drivers, whose invocations then read what lies next to each other.
+override LANES: u32 = 64u;
+
+@compute @workgroup_size(LANES)
+fn main(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(num_workgroups) groups: vec3<u32>,
+) {
+    let part = span(large[0], group.x, groups.x);
+    for (var i = part.x + lane; i < part.y; i += LANES) {
+        let cell = large[i + 1u];
+        let disc = discs[cell];
+        let is_preferred = disc.known > OTHERS;
+        let pixels = pixels_of_disc(params.camera, disc.centre, disc.normal, disc.radius, params.largest_px);
         // One loop, so that invocations that run together wait for the largest box alone.
         var x = pixels.x;
         var y = pixels.y;
         while y < pixels.w && x < pixels.z {
-            let z = depth_on_disc(params.camera, vec2(f32(x), f32(y)), centre, normal, radius);
+            let z = depth_on_disc(params.camera, vec2(f32(x), f32(y)), disc.centre, disc.normal, disc.radius);
             if z > 0.0 {
                 let bits = ~bitcast<u32>(z);
                 let pixel = u32(y) * params.camera.size.x + u32(x);

@@ -13,7 +13,9 @@ use crate::{Device, Recorder, SurfelMap, View};
 #[derive(Debug)]
 pub struct Absorb {
     update: Pipeline,
-    count: Pipeline,
+    open: Pipeline,
+    cover: Pipeline,
+    tally: Pipeline,
     insert: Pipeline,
     extend: Pipeline,
     settle: Pipeline,
@@ -28,7 +30,9 @@ impl Absorb {
         let plain = |pass| Pipeline::plain(device, pass);
         Self {
             update: plain(&absorb::update::PASS),
-            count: plain(&absorb::count::PASS),
+            open: plain(&absorb::open::PASS),
+            cover: plain(&absorb::cover::PASS),
+            tally: plain(&absorb::tally::PASS),
             insert: plain(&absorb::insert::PASS),
             extend: plain(&absorb::extend::PASS),
             settle: plain(&absorb::settle::PASS),
@@ -59,32 +63,38 @@ impl Absorb {
         let over_pixels = Groups::linear(pixels.pixels().into(), 64);
         let chunks = pixels.chunks();
         let over_chunks = Groups::linear(chunks.into(), 64);
+        let (chosen, wanted, open) = (&pixels.chosen, &pixels.wanted, &pixels.open);
+        recorder.clear(wanted, wanted.size());
+        recorder.clear_word(open, 0);
+        let params =
+            absorb::open::Params { camera, chunks, least_cosine: settings.max_slant_rad.cos(), unused: [0; 2] };
+        let bindings = absorb::open::Bindings { params, vertices, normals, chosen, wanted, open };
+        recorder.dispatch(&self.open, &bindings, over_pixels);
         for (first, [places, attributes]) in map.each_page() {
-            let bindings = absorb::count::Bindings {
-                params: absorb::count::Params {
+            let bindings = absorb::cover::Bindings {
+                params: absorb::cover::Params {
                     camera,
                     world_from_camera,
                     first,
                     page,
                     chunks,
-                    least_cosine: settings.max_slant_rad.cos(),
                     window_m: settings.window_m,
                     window_deviations: settings.window_deviations,
                     reach: settings.reach,
                     finer: settings.finer,
                     radius_per_m,
-                    unused_a: 0,
-                    unused_b: [0; 2],
                 },
                 vertices,
-                normals,
-                chosen: &pixels.chosen,
+                chosen,
+                open,
                 places,
                 attributes,
-                wanted: &pixels.wanted,
+                wanted,
             };
-            recorder.dispatch(&self.count, &bindings, over_chunks);
+            recorder.dispatch(&self.cover, &bindings, OVER_LIST);
         }
+        let bindings = absorb::tally::Bindings { params: absorb::tally::Params { chunks }, wanted };
+        recorder.dispatch(&self.tally, &bindings, over_chunks);
         for (first, [places, attributes]) in map.each_page() {
             let bindings = absorb::update::Bindings {
                 params: absorb::update::Params {

@@ -25,12 +25,11 @@ pub struct Associate {
 impl Associate {
     /// Compiles the stage.
     pub fn new(device: &Device) -> Self {
-        let plain = |pass| Pipeline::plain(device, pass);
         Self {
             list: List::new(device),
-            colour: plain(&associate::colour::PASS),
-            compete: plain(&associate::compete::PASS),
-            choose: plain(&associate::choose::PASS),
+            colour: Pipeline::plain(device, &associate::colour::PASS),
+            compete: Pipeline::over_list(device, &associate::compete::PASS, &[]),
+            choose: Pipeline::over_list(device, &associate::choose::PASS, &[]),
         }
     }
 
@@ -95,7 +94,7 @@ impl Associate {
                 listed: &map.listed,
                 places,
                 attributes,
-                vertices,
+                depth: view.depth(),
                 normals,
                 targets: &map.targets,
                 best: &pixels.best,

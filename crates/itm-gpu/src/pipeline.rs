@@ -35,6 +35,12 @@ impl Pipeline {
     pub(crate) fn plain(device: &Device, pass: &'static Pass) -> Self {
         Self::new(device, pass, &[], &[])
     }
+
+    /// Compiles a variant of a pass whose workgroups each go over a part of a list ([`crate::surfels::OVER_LIST`]).
+    pub(crate) fn over_list(device: &Device, pass: &'static Pass, features: &[&str]) -> Self {
+        let lanes = if device.capabilities().software { 8 } else { 64 };
+        Self::new(device, pass, features, &[("LANES", f64::from(lanes))])
+    }
 }
 
 /// A compiled pass that rasterises triangles, of which both sides are shown.

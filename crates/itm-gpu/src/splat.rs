@@ -5,8 +5,15 @@ use itm_shaders::splat;
 
 use crate::map::camera_params;
 use crate::recorder::{Groups, Pipeline};
-use crate::surfels::{LARGEST_PX, List, OVER_LIST, SurfelOptions, SurfelView};
+use crate::surfels::{BORDER, LARGEST_PX, List, OVER_LIST, SurfelOptions, SurfelView};
 use crate::{Device, RaycastImage, Recorder, SurfelMap};
+
+/// Without and with several submaps.
+const COMBINED: [&[&str]; 2] = [&[], &["combined"]];
+
+/// Pixels that meet no disc show those of the cells around that they meet within so many of their radii: as far as the corner of the cell beside the next
+/// one is from a pixel, where discs are as large as what they were seen by. Between the surfels that cells keep there would be holes otherwise.
+pub const FILL: f32 = 3.0;
 
 /// Which surfels are drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,20 +33,31 @@ pub struct Drawn {
 pub struct Splat {
     list: List,
     /// Of surfels in one frame, and of those of all submaps.
-    nearest: [Pipeline; 2],
-    choose: [Pipeline; 2],
-    draw: [Pipeline; 2],
+    front: [Pipeline; 2],
+    keep: Pipeline,
+    lay: [Pipeline; 2],
+    nearest: Pipeline,
+    gather: Pipeline,
+    /// Rows of pixels that an invocation of it goes down.
+    strip: u32,
+    choose: Pipeline,
+    draw: Pipeline,
 }
 
 impl Splat {
     /// Compiles the stage.
     pub fn new(device: &Device) -> Self {
-        let both = |pass| [&[][..], &["combined"]].map(|features| Pipeline::new(device, pass, features, &[]));
+        let strip = if device.capabilities().software { 16 } else { 4 };
         Self {
             list: List::new(device),
-            nearest: both(&splat::nearest::PASS),
-            choose: both(&splat::choose::PASS),
-            draw: both(&splat::draw::PASS),
+            front: COMBINED.map(|features| Pipeline::over_list(device, &splat::front::PASS, features)),
+            keep: Pipeline::over_list(device, &splat::keep::PASS, &[]),
+            lay: COMBINED.map(|features| Pipeline::new(device, &splat::lay::PASS, features, &[])),
+            nearest: Pipeline::over_list(device, &splat::nearest::PASS, &[]),
+            gather: Pipeline::new(device, &splat::gather::PASS, &[], &[("STRIP", strip.into())]),
+            strip,
+            choose: Pipeline::over_list(device, &splat::choose::PASS, &[]),
+            draw: Pipeline::plain(device, &splat::draw::PASS),
         }
     }
 
@@ -82,90 +100,113 @@ impl Splat {
         let poses = map.camera_from_submaps(options);
         let (camera_from_submaps, variant) = (poses.as_ref(), usize::from(poses.is_some()));
         let pose = options.world_from_camera;
+        let (cells, border) = (pixels.cells(), BORDER);
         // What the pixels keep of measurements is done with.
         let nearest = &pixels.best;
-        for buffer in [&pixels.chosen, nearest] {
+        for buffer in [&pixels.front, &pixels.kept, nearest] {
             recorder.clear(buffer, buffer.size());
         }
         let (room, reach, largest_px) = (map.room(), drawn.reach, LARGEST_PX);
-        let (window_m, preferred) = (options.settings.window_m, drawn.preferred);
+        let (window_m, window_deviations) = (options.settings.window_m, options.settings.window_deviations);
+        let preferred = drawn.preferred;
         let params_camera = camera_params(camera, options.depth_range_m);
         let camera_from_world = pose.inverse().to_mat4().to_cols_array_2d();
         let page = map.page();
         for (first, [places, attributes]) in map.each_page() {
-            let bindings = splat::nearest::Bindings {
-                params: splat::nearest::Params {
+            let bindings = splat::front::Bindings {
+                params: splat::front::Params {
                     camera: params_camera,
                     camera_from_world,
                     first,
                     page,
                     room,
-                    reach,
-                    largest_px,
+                    border,
                     preferred,
                     least: drawn.least,
                     since: drawn.since,
                     stable: options.settings.stable,
-                    unused_a: 0,
-                    unused_b: [0; 2],
                 },
                 counters: &map.counters,
                 listed: &map.listed,
                 places,
                 attributes,
-                nearest,
+                targets: &map.targets,
+                front: &pixels.front,
                 camera_from_submaps,
             };
-            recorder.dispatch(&self.nearest[variant], &bindings, OVER_LIST);
+            recorder.dispatch(&self.front[variant], &bindings, OVER_LIST);
         }
+        let bindings = splat::keep::Bindings {
+            params: splat::keep::Params { room, window_m, window_deviations },
+            counters: &map.counters,
+            targets: &map.targets,
+            front: &pixels.front,
+            kept: &pixels.kept,
+        };
+        recorder.dispatch(&self.keep, &bindings, OVER_LIST);
+        let over_cells = Groups::linear(cells.into(), 64);
+        let (discs, looks, large) = (&pixels.discs, &pixels.looks, &pixels.large);
+        recorder.clear_word(large, 0);
+        let width = camera.width + 2 * border;
         for (first, [places, attributes]) in map.each_page() {
-            let bindings = splat::choose::Bindings {
-                params: splat::choose::Params {
+            let bindings = splat::lay::Bindings {
+                params: splat::lay::Params {
                     camera: params_camera,
                     camera_from_world,
                     first,
                     page,
-                    room,
+                    width,
+                    cells,
+                    border,
                     reach,
                     largest_px,
-                    window_m,
-                    window_deviations: options.settings.window_deviations,
                     preferred,
-                    least: drawn.least,
-                    since: drawn.since,
-                    stable: options.settings.stable,
-                    unused: 0,
                 },
-                counters: &map.counters,
+                kept: &pixels.kept,
                 listed: &map.listed,
                 places,
                 attributes,
-                nearest,
-                chosen: &pixels.chosen,
+                discs,
+                looks,
+                large,
                 camera_from_submaps,
             };
-            recorder.dispatch(&self.choose[variant], &bindings, OVER_LIST);
+            recorder.dispatch(&self.lay[variant], &bindings, over_cells);
         }
-        for (first, [places, attributes]) in map.each_page() {
-            let bindings = splat::draw::Bindings {
-                params: splat::draw::Params {
-                    camera: params_camera,
-                    camera_from_world,
-                    world_from_camera: pose.to_mat4().to_cols_array_2d(),
-                    first,
-                    page,
-                    unused: [0; 2],
-                },
-                chosen: &pixels.chosen,
-                listed: &map.listed,
-                places,
-                attributes,
-                points: &image.points,
-                normals: &image.normals,
-                colours: &pixels.colours,
-                camera_from_submaps,
-            };
-            recorder.dispatch(&self.draw[variant], &bindings, Groups::linear(pixels.pixels().into(), 64));
-        }
+        let params = splat::nearest::Params { camera: params_camera, largest_px, unused_a: 0, unused_b: [0; 2] };
+        let bindings = splat::nearest::Bindings { params, large, discs, nearest };
+        recorder.dispatch(&self.nearest, &bindings, OVER_LIST);
+        let over_pixels = Groups::linear(pixels.pixels().into(), 64);
+        let over_strips = Groups::linear((camera.width * camera.height.div_ceil(self.strip)).into(), 64);
+        let bindings = splat::gather::Bindings {
+            params: splat::gather::Params {
+                camera: params_camera,
+                width,
+                border,
+                window_m,
+                window_deviations,
+                fill: FILL,
+                unused_a: 0,
+                unused_b: [0; 2],
+            },
+            discs,
+            nearest,
+            chosen: &pixels.chosen,
+        };
+        recorder.dispatch(&self.gather, &bindings, over_strips);
+        let params =
+            splat::choose::Params { camera: params_camera, largest_px, window_m, window_deviations, unused: 0 };
+        let bindings = splat::choose::Bindings { params, large, discs, nearest, chosen: &pixels.chosen };
+        recorder.dispatch(&self.choose, &bindings, OVER_LIST);
+        let bindings = splat::draw::Bindings {
+            params: splat::draw::Params { camera: params_camera, world_from_camera: pose.to_mat4().to_cols_array_2d() },
+            chosen: &pixels.chosen,
+            discs,
+            looks,
+            points: &image.points,
+            normals: &image.normals,
+            colours: &pixels.colours,
+        };
+        recorder.dispatch(&self.draw, &bindings, over_pixels);
     }
 }

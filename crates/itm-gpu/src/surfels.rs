@@ -38,7 +38,7 @@ pub struct SurfelMap {
     pub(crate) dead: wgpu::Buffer,
     /// How many surfels of each 32 slots are in view, and which.
     pub(crate) seen: wgpu::Buffer,
-    /// Surfels in view: indices, the pixels they compete for.
+    /// Surfels in view: indices; the pixels or cells they compete for, and how they do.
     pub(crate) listed: wgpu::Buffer,
     pub(crate) targets: wgpu::Buffer,
 }
@@ -154,7 +154,7 @@ impl SurfelMap {
 
     /// Bytes of device memory that a surfel takes, with what passes leave for each other.
     pub const fn bytes_per_surfel() -> u64 {
-        2 * PART_BYTES + 3 * 4
+        2 * PART_BYTES + 4 * 4
     }
 
     /// Bytes of device memory that the map takes.
@@ -246,7 +246,7 @@ impl SurfelMap {
         self.capacity = surfels;
         let room = u64::from(self.room());
         replace(&mut self.listed, "surfels in view", room * 4, 0);
-        replace(&mut self.targets, "surfels' targets", room * 4, 0);
+        replace(&mut self.targets, "surfels' targets", room * 8, 0);
     }
 
     /// Records the reading of the counters.
@@ -361,7 +361,17 @@ pub struct SurfelView {
     pub(crate) chosen: wgpu::Buffer,
     pub(crate) rivals: wgpu::Buffer,
     pub(crate) wanted: wgpu::Buffer,
+    /// Pixels whose measurements have no surfel, behind their number.
+    pub(crate) open: wgpu::Buffer,
     pub(crate) colours: wgpu::Buffer,
+    /// Of cells, which reach beyond the image: nearest depths of centres, and the keys of the surfels that are drawn.
+    pub(crate) front: wgpu::Buffer,
+    pub(crate) kept: wgpu::Buffer,
+    /// Their discs as the camera sees them, and their confidences and colours.
+    pub(crate) discs: wgpu::Buffer,
+    pub(crate) looks: wgpu::Buffer,
+    /// The cells of large discs, behind their number.
+    pub(crate) large: wgpu::Buffer,
     pub(crate) indirect: wgpu::Buffer,
 }
 
@@ -370,13 +380,20 @@ impl SurfelView {
     pub fn new(device: &Device, camera: Intrinsics) -> Self {
         let pixels = camera.pixels() as u64;
         let words = |label, count: u64| device.storage(label, count * 4);
+        let cells = u64::from(cells_of(&camera));
         Self {
             camera,
             best: words("best surfels", pixels),
             chosen: words("chosen surfels", pixels),
             rivals: words("rivals", pixels),
             wanted: words("wanted surfels", 2 * pixels.div_ceil(32)),
+            open: words("measurements without a surfel", pixels + 1),
             colours: words("measured colours", pixels),
+            front: words("nearest centres", cells),
+            kept: words("drawn surfels", cells),
+            discs: words("drawn discs", cells * 8),
+            looks: words("drawn colours", cells * 2),
+            large: words("large discs", cells + 1),
             indirect: words("surfel indirect", 4),
         }
     }
@@ -392,6 +409,11 @@ impl SurfelView {
 
     pub(crate) fn pixels(&self) -> u32 {
         self.camera.pixels() as u32
+    }
+
+    /// Cells of the size of pixels in which surfels that are drawn compete.
+    pub(crate) fn cells(&self) -> u32 {
+        cells_of(&self.camera)
     }
 
     pub(crate) fn chunks(&self) -> u32 {
@@ -443,6 +465,13 @@ pub(crate) fn radius_per_m(camera: &Intrinsics, settings: &SurfelSettings) -> f3
 
 /// Pixels that a disc reaches to each side at most.
 pub(crate) const LARGEST_PX: f32 = 12.0;
+
+/// Cells to each side of the image: discs whose centres lie beyond do not reach into it.
+pub(crate) const BORDER: u32 = LARGEST_PX as u32 + 1;
+
+fn cells_of(camera: &Intrinsics) -> u32 {
+    (camera.width + 2 * BORDER) * (camera.height + 2 * BORDER)
+}
 
 /// Passes over a list whose length is known to the device alone stride over it.
 pub(crate) const OVER_LIST: Groups<'static> = Groups::Count([512, 1, 1]);

@@ -4,11 +4,10 @@
 
 mod common;
 
-use std::cmp::Reverse;
 use std::sync::OnceLock;
 
 use common::{Gpu, RANGE_M, Scene, Shape, VIEW_OPTIONS, to_reference};
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, UVec2};
 use itm_core::surfel::{SURFEL_WORDS, Surfel, confidence_rank};
 use itm_core::voxel::ColourVoxel;
 use itm_core::{Calibration, ColourImage, DepthConversion, Image, Intrinsics, Se3, SurfelSettings};
@@ -21,7 +20,7 @@ use itm_gpu::reference::associate::{Association, Measured, Role};
 use itm_gpu::reference::segment::Known;
 use itm_gpu::reference::splat::Look;
 use itm_gpu::segment::Segment;
-use itm_gpu::splat::{Drawn, Splat};
+use itm_gpu::splat::{Drawn, FILL, Splat};
 use itm_gpu::view::ViewOptions;
 use itm_gpu::{
     Device, Part, RaycastImage, Recorder, Segmentation, SurfelMap, SurfelOptions, SurfelRecord, SurfelView, View,
@@ -34,6 +33,8 @@ type Words = [u32; SURFEL_WORDS];
 /// Where numbers that decide lie this near to a border (in metres; as cosines), single precision may decide otherwise: places carry a
 /// few roundings of 2.4e-7 m each.
 const MARGIN_M: f64 = 1e-5;
+/// Centres that lie so many pixels from a cell's border may be found in the next one.
+const MARGIN_PX: f64 = 1e-3;
 /// Places are right to so many metres.
 const PLACE_M: f64 = 5e-6;
 /// Normals are kept in 16 bits a coordinate; where the mean of two nearly opposite ones is taken, more is lost.
@@ -594,39 +595,58 @@ proptest! {
         let (points, normals, colours) = fusion.splat(camera, &pose, look.drawn);
         let slots = parsed(&words);
         let expected = reference::splat::splat(&slots, &look);
+        // Where a disc is seen from the side, its depth magnifies roundings ten times.
+        let (margin_m, rounding_m) = (5e-5, 5e-5);
+        // The discs that are drawn whatever roundings do, and those that may be.
+        let moved = [DVec2::ZERO, DVec2::X, DVec2::Y, DVec2::NEG_X, DVec2::NEG_Y].map(|side| side * MARGIN_PX);
+        let kept = moved.map(|moved| [0.0, margin_m, -margin_m].map(|m| reference::splat::kept(&slots, &look, moved, m)));
+        let kept: Vec<_> = kept.into_iter().flatten().collect();
+        let surely = kept.iter().skip(1).fold(kept[0].clone(), |some, other| some.into_iter().filter(|k| other.contains(k)).collect());
+        let perhaps: Vec<_> = kept.into_iter().flatten().collect();
         let mut others = 0;
         for (at, expected) in expected.data().iter().enumerate() {
             let (x, y) = (at as u32 % camera.width, at as u32 / camera.width);
-            let pixel = DVec2::new(x.into(), y.into());
+            let (pixel, pixel_at) = (DVec2::new(x.into(), y.into()), UVec2::new(x, y));
             let (point, normal) = (points.data()[at], normals.data()[at]);
             let turned = |s: &Surfel| glam::Vec4::from(normal).distance(s.normal.extend(1.0));
             let is_this =
                 |surfel: &Option<Surfel>| surfel.is_some_and(|s| s.confidence + 1.0 == point[3] && turned(&s) < 1e-5);
             let found = slots.iter().position(is_this);
             prop_assert_eq!(found.is_some(), point[3] > 0.0);
-            let meet = |i: usize, margin_m| reference::splat::meet(slots[i].as_ref()?, &look, pixel, margin_m);
-            // Where a disc is seen from the side, its depth magnifies roundings ten times.
-            let (margin_m, rounding_m) = (5e-5, 5e-5);
+            let meet = |i: usize, times, margin_m| reference::splat::meet(slots[i].as_ref()?, &look, pixel, times, margin_m);
+            let fill = f64::from(FILL);
             if found != expected.map(|(i, _)| i) {
                 // Another answer is right only where rounding decides.
                 others += 1;
                 let is_preferred = |i: usize| slots[i].is_some_and(|s| s.confidence >= look.drawn.preferred);
                 let class = found.map(is_preferred);
-                let every = |margin_m| (0..slots.len()).filter_map(move |i| Some((i, meet(i, margin_m)?)));
-                let all = |margin_m| every(margin_m).filter(|(i, _)| class.is_none_or(|c| is_preferred(*i) == c));
-                let nearest = |margin_m| all(margin_m).map(|(_, z)| z).fold(f64::INFINITY, f64::min);
-                let better = class == Some(false) && every(-margin_m).any(|(i, _)| is_preferred(i));
-                prop_assert!(!better, "{} shows {:?}, not {:?}", pixel, found, expected);
+                let fills = found.is_some_and(|i| meet(i, 1.0, margin_m).is_none());
+                let met = |some: &[_], margin_m| reference::splat::met(&slots, &look, some, pixel_at, margin_m);
+                let must = met(&surely, -margin_m);
+                // What may be met: where a disc is met that is one at the border, those that would fill as well.
+                let may: Vec<_> = [margin_m, -margin_m].iter().flat_map(|m| met(&perhaps, *m)).collect();
+                let nearest = |some: &[(usize, f64)]| {
+                    let alike = some.iter().filter(|(i, _)| class.is_none_or(|class| is_preferred(*i) == class));
+                    alike.map(|(_, z)| *z).fold(f64::INFINITY, f64::min)
+                };
                 let window_m = |z| reference::associate::window(&settings, z);
                 match found {
-                    None => prop_assert_eq!(all(-margin_m).count(), 0, "pixel {} shows nothing", pixel),
+                    None => prop_assert!(must.is_empty(), "pixel {} shows nothing", pixel),
                     Some(found) => {
-                        let z = meet(found, margin_m);
-                        prop_assert!(z.is_some(), "{pixel} shows {found}, not {expected:?}");
-                        prop_assert!(z.unwrap() <= nearest(-margin_m) + window_m(nearest(-margin_m)) + rounding_m, "{pixel}: {found} is hidden");
-                        let limit = nearest(margin_m) + window_m(nearest(margin_m)) - rounding_m;
-                        let rank = |i: usize| (slots[i].map_or(0, |s| confidence_rank(s.confidence)), Reverse(i));
-                        let better = all(-margin_m).find(|(i, z)| rank(*i) > rank(found) && *z < limit);
+                        prop_assert!(may.iter().any(|(i, _)| *i == found), "{pixel} shows {found}, not {expected:?}");
+                        if fills {
+                            let meets = surely.iter().find(|(i, _)| meet(*i, 1.0, -margin_m).is_some());
+                            prop_assert!(meets.is_none(), "{pixel} shows {found}, but meets {meets:?}");
+                        }
+                        // Only what is met as this one is is better.
+                        let times = if fills { fill } else { 1.0 };
+                        let better = must.iter().any(|(i, _)| class == Some(false) && is_preferred(*i) && meet(*i, times, -margin_m).is_some());
+                        prop_assert!(!better, "{} shows {:?}, not {:?}", pixel, found, expected);
+                        let z = meet(found, times, margin_m).unwrap();
+                        prop_assert!(z <= nearest(&must) + window_m(nearest(&must)) + rounding_m, "{pixel}: {found} is hidden");
+                        let limit = nearest(&may) + window_m(nearest(&may)) - rounding_m;
+                        let rank = |i: usize| slots[i].map_or(0, |s| confidence_rank(s.confidence));
+                        let better = must.iter().find(|(i, z)| rank(*i) > rank(found) && *z < limit && is_preferred(*i) == is_preferred(found));
                         prop_assert!(better.is_none(), "{pixel} shows {found}, not {better:?}");
                     }
                 }
@@ -635,7 +655,7 @@ proptest! {
                 prop_assert_eq!((point, normal, colours.data()[at]), ([0.0; 4], [0.0; 4], [0; 4]));
                 continue;
             };
-            let z = meet(found, margin_m).unwrap();
+            let z = meet(found, 1.0, margin_m).or_else(|| meet(found, fill, margin_m)).unwrap();
             let [x, y, z_world, _] = point.map(f64::from);
             let off = DVec3::new(x, y, z_world).distance(reference::splat::point_at(&look, pixel, z));
             prop_assert!(off < rounding_m, "{pixel}: {off} m off");

@@ -1,6 +1,5 @@
-// Which measurements become surfels, and how many of each 32 pixels do: those that no surfel was found for, and that lie on no disc of
-// the surfels of the pixels around. A disc that is much larger than what the pixel would become does not count: the surface is
-// seen more finely now. Each page's surfels take away from what the pages before left. The pixels' bits lie behind the counts.
+// Measurements that lie on a disc of the surfels of the pixels around, of one page, do not become surfels. A disc that is much larger than
+// what the pixel would become does not count: the surface is seen more finely now.
 import package::shared::camera::Camera;
 import package::shared::surfel::{Attributes, depth_deviation, unpack_normal, unpack_radius};
 
@@ -10,8 +9,6 @@ struct Params {
     first: u32,
     page: u32,
     chunks: u32,
-    // Least cosine between ray and normal.
-    least_cosine: f32,
     window_m: f32,
     window_deviations: f32,
     // Discs reach over so many of their radii.
@@ -20,18 +17,17 @@ struct Params {
     finer: f32,
     // Radius of a pixel's disc at a depth of one metre.
     radius_per_m: f32,
-    unused_a: u32,
-    unused_b: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> vertices: array<vec4<f32>>;
-@group(0) @binding(2) var<storage, read> normals: array<vec4<f32>>;
 // The complements of surfels' indices, or 0.
-@group(0) @binding(3) var<storage, read> chosen: array<u32>;
+@group(0) @binding(2) var<storage, read> chosen: array<u32>;
+// How many measurements have no surfel, and their pixels.
+@group(0) @binding(3) var<storage, read> open: array<u32>;
 @group(0) @binding(4) var<storage, read> places: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> attributes: array<Attributes>;
-@group(0) @binding(6) var<storage, read_write> wanted: array<u32>;
+@group(0) @binding(6) var<storage, read_write> wanted: array<atomic<u32>>;
 
 fn is_covered(i: u32, vertex: vec3<f32>) -> bool {
     let size = params.camera.size;
@@ -62,25 +58,10 @@ fn is_covered(i: u32, vertex: vec3<f32>) -> bool {
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let pixels = params.camera.size.x * params.camera.size.y;
-    for (var chunk = id.x; chunk < params.chunks; chunk += groups.x * 64u) {
-        let first = chunk * 32u;
-        let last = min(first + 32u, pixels);
-        var left = 0xffffffffu;
-        if params.first > 0u {
-            left = wanted[params.chunks + chunk];
+    for (var i = id.x; i < open[0]; i += groups.x * 64u) {
+        let pixel = open[i + 1u];
+        if is_covered(pixel, vertices[pixel].xyz) {
+            atomicAnd(&wanted[params.chunks + pixel / 32u], ~(1u << (pixel % 32u)));
         }
-        var bits = 0u;
-        for (var i = first; i < last; i++) {
-            let vertex = vertices[i];
-            let normal = normals[i];
-            let bit = 1u << (i - first);
-            let faces = -dot(vertex.xyz, normal.xyz) >= params.least_cosine * length(vertex.xyz);
-            if (left & bit) != 0u && normal.w > 0.0 && faces && chosen[i] == 0u && !is_covered(i, vertex.xyz) {
-                bits |= bit;
-            }
-        }
-        wanted[chunk] = countOneBits(bits);
-        wanted[params.chunks + chunk] = bits;
     }
 }
