@@ -6,6 +6,10 @@ import package::shared::surfel::place_of;
 struct Params {
     camera: Camera,
     world_from_camera: mat4x4<f32>,
+    // Of the image that these rows are a part of.
+    first_pixel: u32,
+    unused_a: u32,
+    unused_b: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -24,10 +28,11 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let width = params.camera.size.x;
     let pixels = width * params.camera.size.y;
     for (var i = id.x; i < pixels; i += groups.x * 64u) {
+        let to = params.first_pixel + i;
         if chosen[i] == 0u {
-            points[i] = vec4(0.0);
-            normals[i] = vec4(0.0);
-            colours[i] = 0u;
+            points[to] = vec4(0.0);
+            normals[to] = vec4(0.0);
+            colours[to] = 0u;
             continue;
         }
         let cell = place_of(chosen[i]);
@@ -35,8 +40,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         let look = looks[cell];
         let ray = unproject(params.camera, vec2(f32(i % width), f32(i / width)), 1.0);
         let hit = ray * (dot(disc.normal, disc.centre) / dot(disc.normal, ray));
-        points[i] = vec4((params.world_from_camera * vec4(hit, 1.0)).xyz, bitcast<f32>(look.x) + 1.0);
-        normals[i] = vec4((params.world_from_camera * vec4(disc.normal, 0.0)).xyz, 1.0);
-        colours[i] = select(0u, look.y | 0xff000000u, (look.y >> 24u) != 0u);
+        points[to] = vec4((params.world_from_camera * vec4(hit, 1.0)).xyz, bitcast<f32>(look.x) + 1.0);
+        normals[to] = vec4((params.world_from_camera * vec4(disc.normal, 0.0)).xyz, 1.0);
+        colours[to] = select(0u, look.y | 0xff000000u, (look.y >> 24u) != 0u);
     }
 }

@@ -1,11 +1,12 @@
 //! Stage `splat`: surfels as a camera sees them, each as a disc (Keller et al. 2013, *Real-time 3D Reconstruction in Dynamic
 //! Scenes using Point-based Fusion*, section 6).
 
+use itm_core::Intrinsics;
 use itm_shaders::splat;
 
 use crate::map::camera_params;
 use crate::recorder::{Groups, Pipeline};
-use crate::surfels::{BORDER, LARGEST_PX, List, OVER_LIST, SurfelOptions, SurfelView};
+use crate::surfels::{BORDER, LARGEST_PX, List, OVER_LIST, SurfelOptions, SurfelView, cells_of};
 use crate::{Device, RaycastImage, Recorder, SurfelMap};
 
 /// Without and with several submaps.
@@ -95,12 +96,29 @@ impl Splat {
         drawn: Drawn,
     ) {
         recorder.stage("splat");
-        let camera = image.camera();
-        assert_eq!(*camera, pixels.camera, "an image of another camera");
+        assert_eq!(*image.camera(), pixels.camera, "an image of another camera");
         let poses = map.camera_from_submaps(options);
-        let (camera_from_submaps, variant) = (poses.as_ref(), usize::from(poses.is_some()));
+        for (first_row, camera) in pixels.bands() {
+            self.record_band(recorder, map, pixels, image, options, drawn, poses.as_ref(), (first_row, &camera));
+        }
+    }
+
+    /// The same for rows of the image, from a first one on, of which `camera` is the camera.
+    #[expect(clippy::too_many_arguments, reason = "it is a part of one function")]
+    fn record_band(
+        &self,
+        recorder: &mut Recorder,
+        map: &SurfelMap,
+        pixels: &SurfelView,
+        image: &RaycastImage,
+        options: &SurfelOptions<'_>,
+        drawn: Drawn,
+        camera_from_submaps: Option<&wgpu::Buffer>,
+        (first_row, camera): (u32, &Intrinsics),
+    ) {
+        let variant = usize::from(camera_from_submaps.is_some());
         let pose = options.world_from_camera;
-        let (cells, border) = (pixels.cells(), BORDER);
+        let (cells, border) = (cells_of(camera), BORDER);
         // What the pixels keep of measurements is done with.
         let nearest = &pixels.best;
         for buffer in [&pixels.front, &pixels.kept, nearest] {
@@ -176,7 +194,7 @@ impl Splat {
         let params = splat::nearest::Params { camera: params_camera, largest_px, unused_a: 0, unused_b: [0; 2] };
         let bindings = splat::nearest::Bindings { params, large, discs, nearest };
         recorder.dispatch(&self.nearest, &bindings, OVER_LIST);
-        let over_pixels = Groups::linear(pixels.pixels().into(), 64);
+        let over_pixels = Groups::linear(camera.pixels() as u64, 64);
         let over_strips = Groups::linear((camera.width * camera.height.div_ceil(self.strip)).into(), 64);
         let bindings = splat::gather::Bindings {
             params: splat::gather::Params {
@@ -199,7 +217,13 @@ impl Splat {
         let bindings = splat::choose::Bindings { params, large, discs, nearest, chosen: &pixels.chosen };
         recorder.dispatch(&self.choose, &bindings, OVER_LIST);
         let bindings = splat::draw::Bindings {
-            params: splat::draw::Params { camera: params_camera, world_from_camera: pose.to_mat4().to_cols_array_2d() },
+            params: splat::draw::Params {
+                camera: params_camera,
+                world_from_camera: pose.to_mat4().to_cols_array_2d(),
+                first_pixel: first_row * camera.width,
+                unused_a: 0,
+                unused_b: [0; 2],
+            },
             chosen: &pixels.chosen,
             discs,
             looks,

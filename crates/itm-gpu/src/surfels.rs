@@ -12,6 +12,8 @@ use crate::{Device, Error};
 const COUNTERS: u64 = 16;
 /// Bytes of each of the two parts of a surfel.
 const PART_BYTES: u64 = 16;
+/// Bytes of a disc as a camera sees it.
+const DISC_BYTES: u64 = 32;
 /// The largest page, in surfels: more than any adapter's binding holds is no use.
 const LARGEST_PAGE_SHIFT: u32 = 26;
 
@@ -364,7 +366,9 @@ pub struct SurfelView {
     /// Pixels whose measurements have no surfel, behind their number.
     pub(crate) open: wgpu::Buffer,
     pub(crate) colours: wgpu::Buffer,
-    /// Of cells, which reach beyond the image: nearest depths of centres, and the keys of the surfels that are drawn.
+    /// Images are drawn in bands of so many rows, whose cells the buffers hold.
+    band_rows: u32,
+    /// Of cells, which reach beyond a band: nearest depths of centres, and the keys of the surfels that are drawn.
     pub(crate) front: wgpu::Buffer,
     pub(crate) kept: wgpu::Buffer,
     /// Their discs as the camera sees them, and their confidences and colours.
@@ -380,7 +384,8 @@ impl SurfelView {
     pub fn new(device: &Device, camera: Intrinsics) -> Self {
         let pixels = camera.pixels() as u64;
         let words = |label, count: u64| device.storage(label, count * 4);
-        let cells = u64::from(cells_of(&camera));
+        let band_rows = rows_of_bands(&camera, device.capabilities().max_binding_bytes);
+        let cells = u64::from(cells_of(&Intrinsics { height: band_rows, ..camera }));
         Self {
             camera,
             best: words("best surfels", pixels),
@@ -389,9 +394,10 @@ impl SurfelView {
             wanted: words("wanted surfels", 2 * pixels.div_ceil(32)),
             open: words("measurements without a surfel", pixels + 1),
             colours: words("measured colours", pixels),
+            band_rows,
             front: words("nearest centres", cells),
             kept: words("drawn surfels", cells),
-            discs: words("drawn discs", cells * 8),
+            discs: device.storage("drawn discs", cells * DISC_BYTES),
             looks: words("drawn colours", cells * 2),
             large: words("large discs", cells + 1),
             indirect: words("surfel indirect", 4),
@@ -411,9 +417,13 @@ impl SurfelView {
         self.camera.pixels() as u32
     }
 
-    /// Cells of the size of pixels in which surfels that are drawn compete.
-    pub(crate) fn cells(&self) -> u32 {
-        cells_of(&self.camera)
+    /// The bands of rows in which the image is drawn: the first row of each, and its camera.
+    pub(crate) fn bands(&self) -> impl Iterator<Item = (u32, Intrinsics)> {
+        let Self { camera, band_rows, .. } = *self;
+        (0..camera.height).step_by(band_rows as usize).map(move |first| {
+            let height = band_rows.min(camera.height - first);
+            (first, Intrinsics { height, cy: camera.cy - f64::from(first), ..camera })
+        })
     }
 
     pub(crate) fn chunks(&self) -> u32 {
@@ -466,11 +476,19 @@ pub(crate) fn radius_per_m(camera: &Intrinsics, settings: &SurfelSettings) -> f3
 /// Pixels that a disc reaches to each side at most.
 pub(crate) const LARGEST_PX: f32 = 12.0;
 
-/// Cells to each side of the image: discs whose centres lie beyond do not reach into it.
+/// Cells to each side of the image: discs whose centres lie beyond do not reach into it, nor do their cells touch it.
 pub(crate) const BORDER: u32 = LARGEST_PX as u32 + 1;
 
-fn cells_of(camera: &Intrinsics) -> u32 {
+/// Cells of the size of pixels in which surfels that are drawn compete.
+pub(crate) fn cells_of(camera: &Intrinsics) -> u32 {
     (camera.width + 2 * BORDER) * (camera.height + 2 * BORDER)
+}
+
+/// Rows of the bands in which an image is drawn, so that a binding of so many bytes holds their cells' discs, and keys their numbers (24 bits).
+fn rows_of_bands(camera: &Intrinsics, most_bytes: u64) -> u32 {
+    let most_cells = (most_bytes / DISC_BYTES).min((1 << 24) - 1);
+    let rows = most_cells / u64::from(camera.width + 2 * BORDER);
+    (rows.saturating_sub(2 * u64::from(BORDER)) as u32).clamp(1, camera.height.max(1))
 }
 
 /// Passes over a list whose length is known to the device alone stride over it.

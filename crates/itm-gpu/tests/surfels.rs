@@ -960,6 +960,32 @@ fn pages_make_no_difference() {
 }
 
 #[test]
+fn an_image_is_the_same_where_it_is_drawn_in_bands() {
+    let Some(stages) = gpu() else { return };
+    let device = common::device_with_bindings_of(16 << 20);
+    let (small, small_stages) = (Gpu::new(&device), Stages::new(&device));
+    // Of 16 MiB a band has 490 rows at most.
+    let (camera, few) = (common::camera(1050, 520), common::camera(90, 45));
+    let pose = Se3::exp([0.05, -0.02, 0.1, 0.02, 0.1, -0.03]);
+    let words = random_slots(&mut Noise(4), &few, &pose, 6000, 40);
+    let run = |stages| {
+        let mut fusion = Fusion::new(stages, common::one_camera(few), 32);
+        fusion.map.write_words(&words).unwrap();
+        fusion.splat(camera, &pose, Drawn { least: 0.5, preferred: 5.0, since: 0, reach: 1.5 })
+    };
+    let (one, many) = (run(stages), run((&small, &small_stages)));
+    let (one, many) = (one.0.data(), many.0.data());
+    // Roundings differ, for the bands' cameras do.
+    let off = |a: &[f32; 4], b: &[f32; 4]| a.iter().zip(b).any(|(a, b)| (a - b).abs() > 1e-4);
+    let others = one.iter().zip(many).filter(|(a, b)| off(a, b)).count();
+    assert!(others <= one.len() / 1000, "{others} pixels are others");
+    for rows in [0..100, 420..520] {
+        let seen = |points: &&[f32; 4]| points[3] > 0.0;
+        assert!(one[rows.start * 1050..rows.end * 1050].iter().filter(seen).count() > 10_000);
+    }
+}
+
+#[test]
 fn what_was_fused_is_drawn_with_the_list_that_is_there_as_with_another() {
     let Some(stages) = gpu() else { return };
     let camera = common::camera(80, 60);
