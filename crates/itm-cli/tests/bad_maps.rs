@@ -101,7 +101,12 @@ fn table(folder: &Path, name: &str, section: Tag) -> Table {
 
 /// Writes `room.itm` anew under another name, its sections as they are left by `edit`; none where it says so.
 fn edited(folder: &Path, name: &str, edit: impl Fn(Tag, Vec<u8>) -> Option<Vec<u8>>) -> PathBuf {
-    let mut reader = reader(folder, "room.itm");
+    edited_from(folder, "room.itm", name, edit)
+}
+
+/// The same with another map.
+fn edited_from(folder: &Path, map: &str, name: &str, edit: impl Fn(Tag, Vec<u8>) -> Option<Vec<u8>>) -> PathBuf {
+    let mut reader = reader(folder, map);
     let path = folder.join(name);
     let mut writer = MapWriter::create(&path, &reader.header().clone()).unwrap();
     let tags: Vec<Tag> = reader.sections().map(|section| section.tag).filter(|tag| *tag != tag::HEADER).collect();
@@ -418,4 +423,63 @@ fn a_submap_without_blocks_is_left_out() {
         "there are blocks of submap 1",
         "nothing says where it lies",
     ]);
+}
+
+#[test]
+fn surfels_that_cannot_be_are_refused_by_section_and_number() {
+    let Some(folder) = folder() else { return };
+    let saved = run(folder, ["--mode", "surfels", "--frames", "0..20", "--save", "surfels.itm", "-o", "surfels"]);
+    assert!(saved.succeeded, "{}", saved.said);
+    const SURFELS: Tag = *b"SURF";
+    let bytes = reader(folder, "surfels.itm").bytes(SURFELS).unwrap();
+    let confidence = |slot: usize| f32::from_le_bytes(bytes[slot * 32 + 12..][..4].try_into().unwrap());
+    let slots = bytes.len() / 32;
+    let known = (0..slots).filter(|slot| confidence(*slot) > 0.0).nth(100).unwrap();
+    let word = |of: usize, word: usize, value: u32| {
+        let mut bytes = bytes.clone();
+        bytes[of * 32 + word * 4..][..4].copy_from_slice(&value.to_le_bytes());
+        bytes
+    };
+    let cannot_be = format!("'damaged.itm': section SURF: surfel {known} has numbers that cannot be");
+    let damages = [
+        (word(known, 0, f32::NAN.to_bits()), &*cannot_be),
+        (word(known, 2, f32::NEG_INFINITY.to_bits()), &cannot_be),
+        (word(known, 3, (-1.0_f32).to_bits()), &cannot_be),
+        (word(known, 3, f32::INFINITY.to_bits()), &cannot_be),
+        (bytes[..bytes.len() - 12].to_vec(), "section SURF: "),
+        (word(known, 5, 77 << 16), "of submap 77, but nothing says where it lies"),
+    ];
+    let frames = ["--frames", "0..24", "--mode", "surfels", "-o", "damaged"];
+    for (surfels, what) in damages {
+        edited_from(folder, "surfels.itm", "damaged.itm", |tag, bytes| {
+            Some(if tag == SURFELS { surfels.clone() } else { bytes })
+        });
+        for way in ["--resume", "--map"] {
+            run(folder, [way, "damaged.itm"].into_iter().chain(frames)).refused(&["'damaged.itm'", what]);
+        }
+    }
+    // A free slot that holds a surfel, and one that comes twice: the session cannot go on, and a new one starts from the surfels alone.
+    let emptied = word(known, 3, 0);
+    let with_free = |slots: &[usize], surfels: &[u8]| {
+        edited_from(folder, "surfels.itm", "free.itm", |tag, mut bytes| {
+            match &tag {
+                b"SFCN" => {
+                    bytes[4..8].copy_from_slice(&(slots.len() as u32).to_le_bytes());
+                    bytes[8..12].fill(0);
+                }
+                b"SFFR" => bytes = slots.iter().flat_map(|slot| (*slot as u32).to_le_bytes()).collect(),
+                b"SURF" => bytes = surfels.to_vec(),
+                _ => {}
+            }
+            Some(bytes)
+        });
+        run(folder, ["--resume", "free.itm"].into_iter().chain(frames))
+    };
+    let ran = with_free(&[known], &emptied);
+    assert!(ran.succeeded, "{}", ran.said);
+    for (slots, surfels) in [(&[known][..], &bytes), (&[known, known], &emptied), (&[slots], &bytes)] {
+        with_free(slots, surfels).refused(&["the saved state of the map of surfels does not fit"]);
+        let ran = run(folder, ["--map", "free.itm"].into_iter().chain(frames));
+        assert!(ran.succeeded, "{}", ran.said);
+    }
 }

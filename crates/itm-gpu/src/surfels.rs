@@ -318,7 +318,11 @@ impl SurfelMap {
             && counted(counter::FREE) == Some(state.free.len())
             && counted(counter::TAKEN) <= counted(counter::FREE)
             && state.slots.len() <= state.capacity as usize
-            && state.free.iter().all(|slot| (*slot as usize) < state.slots.len());
+            && state.free.is_sorted_by(|one, next| one < next)
+            && state.free.last().is_none_or(|slot| (*slot as usize) < state.slots.len());
+        // Those that were not taken since.
+        let untaken = || state.free.iter().skip(counted(counter::TAKEN).unwrap_or(0));
+        let fits = fits && untaken().all(|slot| f32::from_bits(state.slots[*slot as usize][3]) == 0.0);
         if !fits {
             return Err(Error::State { what: "map of surfels" });
         }

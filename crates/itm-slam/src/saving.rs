@@ -166,10 +166,16 @@ pub fn count_surfels(reader: &mut MapReader) -> Result<Option<BTreeMap<u16, u64>
 
 /// The surfels of a file, empty slots included.
 fn read_surfels(reader: &mut MapReader, path: &Path) -> Result<Vec<[u32; SURFEL_WORDS]>, Error> {
-    let slots: Vec<[u32; SURFEL_WORDS]> = to_words(&reader.bytes(SURFELS)?).as_chunks().0.to_vec();
+    let bytes = reader.bytes(SURFELS)?;
+    if !bytes.len().is_multiple_of(4 * SURFEL_WORDS) {
+        let reason = format!("{} bytes, which are not surfels of {} each", bytes.len(), 4 * SURFEL_WORDS);
+        return Err(unfit(path, SURFELS, reason));
+    }
+    let slots: Vec<[u32; SURFEL_WORDS]> = to_words(&bytes).as_chunks().0.to_vec();
+    // The other words mean something whatever they are.
     let is_sound = |words: &[u32; SURFEL_WORDS]| {
-        let [x, y, z, confidence, _, radius, ..] = words.map(f32::from_bits);
-        [x, y, z, confidence, radius].into_iter().all(f32::is_finite) && confidence >= 0.0 && radius >= 0.0
+        let [x, y, z, confidence, ..] = words.map(f32::from_bits);
+        [x, y, z, confidence].into_iter().all(f32::is_finite) && confidence >= 0.0
     };
     match slots.iter().position(|words| !is_sound(words)) {
         None => Ok(slots),

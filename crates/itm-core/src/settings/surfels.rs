@@ -124,7 +124,7 @@ impl Default for SurfelSettings {
             confidence_sigma: 0.6,
             stable: 10.0,
             max_confidence: 100.0,
-            patience: 20,
+            patience: 30,
             forget_after: 3000,
             track_from: 3.0,
             all_for: 20,
