@@ -1,6 +1,7 @@
 // The discs of the surfels of one page that cells keep, as the camera sees them.
 import package::shared::camera::Camera;
 import package::shared::disc::{Disc, known_of, pixels_of_disc};
+import package::shared::observation::radius_of;
 import package::shared::surfel::{Attributes, place_of, rank_of_key, submap_of, unpack_normal, unpack_radius};
 
 struct Params {
@@ -15,6 +16,10 @@ struct Params {
     reach: f32,
     largest_px: f32,
     preferred: f32,
+    // Radius of a pixel's disc at a depth of one metre.
+    pixel_radius_per_m: f32,
+    unused_a: u32,
+    unused_b: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -48,7 +53,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         @if(combined) let camera_from_surfel = camera_from_submaps[submap_of(own.y)];
         let centre = (camera_from_surfel * vec4(place.xyz, 1.0)).xyz;
         let normal = (camera_from_surfel * vec4(unpack_normal(own.x), 0.0)).xyz;
-        let radius = unpack_radius(own.y) * params.reach;
+        // None are smaller than what a pixel sees of a surface: from afar a cell's disc stands for all that lie there.
+        let least = radius_of(params.pixel_radius_per_m, centre.z, normal.z);
+        let radius = max(unpack_radius(own.y) * params.reach, least);
         let pixels = pixels_of_disc(params.camera, centre, normal, radius, params.largest_px);
         let middle = vec2(i32(cell % params.width), i32(cell / params.width)) - i32(params.border);
         let is_large = any(pixels.xy < middle - 1) || any(pixels.zw > middle + 2);

@@ -1,12 +1,16 @@
 //! Stage `splat`: surfels as a camera sees them, each as a disc (Keller et al. 2013, *Real-time 3D Reconstruction in Dynamic
 //! Scenes using Point-based Fusion*, section 6).
+//!
+//! There are more surfels in view than pixels, and of those that lie in one place the best known one is meant. So surfels compete in
+//! cells of the size of pixels first (`front`, `keep`); those that are left are laid out as discs (`lay`), which pixels gather from the
+//! cells around them (`gather`). Discs that reach farther are rasterised (`nearest`, `choose`), which takes an atomic a pixel.
 
 use itm_core::Intrinsics;
 use itm_shaders::splat;
 
 use crate::map::camera_params;
 use crate::recorder::{Groups, Pipeline};
-use crate::surfels::{BORDER, LARGEST_PX, List, OVER_LIST, SurfelOptions, SurfelView, cells_of};
+use crate::surfels::{BORDER, LARGEST_PX, List, OVER_LIST, SurfelOptions, SurfelView, cells_of, pixel_radius_per_m};
 use crate::{Device, RaycastImage, Recorder, SurfelMap};
 
 /// Without and with several submaps.
@@ -25,7 +29,7 @@ pub struct Drawn {
     pub preferred: f32,
     /// Of unstable ones only those that this frame, or a later one, has seen last.
     pub since: u32,
-    /// Discs are drawn with so many of their radii.
+    /// Discs are drawn with so many of their radii, and none smaller than what a pixel sees of a surface.
     pub reach: f32,
 }
 
@@ -179,6 +183,9 @@ impl Splat {
                     reach,
                     largest_px,
                     preferred,
+                    pixel_radius_per_m: pixel_radius_per_m(camera),
+                    unused_a: 0,
+                    unused_b: [0; 2],
                 },
                 kept: &pixels.kept,
                 listed: &map.listed,

@@ -472,9 +472,14 @@ impl Part<'_> {
 }
 
 /// Radius in metres of the disc that a camera's pixel sees at a depth of one metre: of the circle around it.
-pub(crate) fn radius_per_m(camera: &Intrinsics, settings: &SurfelSettings) -> f32 {
+pub(crate) fn pixel_radius_per_m(camera: &Intrinsics) -> f32 {
     let focal = f64::midpoint(camera.fx.abs(), camera.fy.abs());
-    (std::f64::consts::FRAC_1_SQRT_2 / focal) as f32 * settings.radius_factor
+    (std::f64::consts::FRAC_1_SQRT_2 / focal) as f32
+}
+
+/// The radius that a surfel has, at a depth of one metre, which a pixel sees first.
+pub(crate) fn radius_per_m(camera: &Intrinsics, settings: &SurfelSettings) -> f32 {
+    pixel_radius_per_m(camera) * settings.radius_factor
 }
 
 /// Pixels that a disc reaches to each side at most.

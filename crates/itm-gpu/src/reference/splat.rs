@@ -68,7 +68,10 @@ pub fn meet(surfel: &Surfel, look: &Look<'_>, pixel: DVec2, times: f64, margin_m
         return None;
     }
     let z = normal.dot(centre) / facing;
-    let radius_m = times * f64::from(surfel.radius_m * look.drawn.reach) + margin_m;
+    // None is smaller than what a pixel sees of a surface.
+    let focal = f64::midpoint(look.camera.fx.abs(), look.camera.fy.abs());
+    let least_m = std::f64::consts::FRAC_1_SQRT_2 / focal * centre.z / normal.z.abs().max(0.26);
+    let radius_m = times * f64::from(surfel.radius_m * look.drawn.reach).max(least_m) + margin_m;
     (z > 0.0 && (ray * z).distance(centre) <= radius_m).then_some(z)
 }
 
