@@ -16,10 +16,6 @@ use crate::{Device, RaycastImage, Recorder, SurfelMap};
 /// Without and with several submaps.
 const COMBINED: [&[&str]; 2] = [&[], &["combined"]];
 
-/// Pixels that meet no disc show those of the cells around that they meet within so many of their radii: as far as the corner of the cell beside the next
-/// one is from a pixel, where discs are as large as what they were seen by. Between the surfels that cells keep there would be holes otherwise.
-pub const FILL: f32 = 3.0;
-
 /// Which surfels are drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drawn {
@@ -31,6 +27,8 @@ pub struct Drawn {
     pub since: u32,
     /// Discs are drawn with so many of their radii, and none smaller than what a pixel sees of a surface.
     pub reach: f32,
+    /// Pixels that meet no disc show those of the cells around them that they meet within so many of these radii.
+    pub fill: f32,
 }
 
 /// The stage's pipelines.
@@ -210,7 +208,7 @@ impl Splat {
                 border,
                 window_m,
                 window_deviations,
-                fill: FILL,
+                fill: drawn.fill,
                 unused_a: 0,
                 unused_b: [0; 2],
             },

@@ -20,7 +20,7 @@ use itm_gpu::reference::associate::{Association, Measured, Role};
 use itm_gpu::reference::segment::Known;
 use itm_gpu::reference::splat::Look;
 use itm_gpu::segment::Segment;
-use itm_gpu::splat::{Drawn, FILL, Splat};
+use itm_gpu::splat::{Drawn, Splat};
 use itm_gpu::view::ViewOptions;
 use itm_gpu::{
     Device, Part, RaycastImage, Recorder, Segmentation, SurfelMap, SurfelOptions, SurfelRecord, SurfelView, View,
@@ -43,7 +43,7 @@ const NORMAL: f32 = 3e-4;
 const RADIUS: f32 = 4e-4;
 
 /// All surfels alike.
-const ALL: Drawn = Drawn { least: 0.0, preferred: 0.0, since: 0, reach: 1.0 };
+const ALL: Drawn = Drawn { least: 0.0, preferred: 0.0, since: 0, reach: 1.0, fill: 3.0 };
 
 /// The stages, compiled once for a device.
 struct Stages {
@@ -508,7 +508,7 @@ proptest! {
         let model = RaycastImage::new(device, camera).unwrap();
         let cells = Segmentation::new(device, camera, &settings.dynamics);
         let mut recorder = Recorder::new(device);
-        let drawn = Drawn { least: 0.0, preferred: 8.0, since: 0, reach: 1.5 };
+        let drawn = Drawn { least: 0.0, preferred: 8.0, since: 0, reach: 1.5, fill: 1.0 };
         stages.1.splat.record(&mut recorder, &fusion.map, &fusion.pixels, &model, &fusion.options(&world_from_model), drawn);
         let options = fusion.options(&pose);
         let calibration = &fusion.calibration;
@@ -566,7 +566,7 @@ proptest! {
     #[test]
     fn each_pixel_shows_the_disc_that_the_reference_shows(
         size in size(), drawn_from in pose(), motion in pose(), seed: u64, negative_fy: bool, near: bool, wide: bool,
-        since in 0u32..29,
+        since in 0u32..29, fill in 1.0f32..3.0,
     ) {
         let Some(stages) = gpu() else { return Ok(()) };
         let camera = camera(size, negative_fy);
@@ -590,7 +590,7 @@ proptest! {
             world_from_camera: &pose,
             depth_range_m: RANGE_M,
             settings: &settings,
-            drawn: Drawn { least: 2.0, preferred: 8.0, since, reach: if wide { 1.4 } else { 1.0 } },
+            drawn: Drawn { least: 2.0, preferred: 8.0, since, reach: if wide { 1.4 } else { 1.0 }, fill },
         };
         let (points, normals, colours) = fusion.splat(camera, &pose, look.drawn);
         let slots = parsed(&words);
@@ -614,7 +614,7 @@ proptest! {
             let found = slots.iter().position(is_this);
             prop_assert_eq!(found.is_some(), point[3] > 0.0);
             let meet = |i: usize, times, margin_m| reference::splat::meet(slots[i].as_ref()?, &look, pixel, times, margin_m);
-            let fill = f64::from(FILL);
+            let fill = f64::from(fill);
             if found != expected.map(|(i, _)| i) {
                 // Another answer is right only where rounding decides.
                 others += 1;
@@ -722,7 +722,7 @@ fn a_second_run_leaves_the_same_bytes() {
     assert_eq!(one.map.read_record().unwrap(), two.map.read_record().unwrap());
     let pose = Se3::exp([0.01, 0.0, 0.02, 0.0, 0.1, 0.0]);
     let camera = common::camera(81, 61);
-    const SOME: Drawn = Drawn { least: 0.5, preferred: 5.0, since: 0, reach: 1.0 };
+    const SOME: Drawn = Drawn { least: 0.5, preferred: 5.0, since: 0, reach: 1.0, fill: 3.0 };
     assert!(one.splat(camera, &pose, SOME) == two.splat(camera, &pose, SOME));
 }
 
@@ -971,7 +971,7 @@ fn an_image_is_the_same_where_it_is_drawn_in_bands() {
     let run = |stages| {
         let mut fusion = Fusion::new(stages, common::one_camera(few), 32);
         fusion.map.write_words(&words).unwrap();
-        fusion.splat(camera, &pose, Drawn { least: 0.5, preferred: 5.0, since: 0, reach: 1.5 })
+        fusion.splat(camera, &pose, Drawn { least: 0.5, preferred: 5.0, since: 0, reach: 1.5, fill: 1.0 })
     };
     let (one, many) = (run(stages), run((&small, &small_stages)));
     let (one, many) = (one.0.data(), many.0.data());
@@ -998,7 +998,7 @@ fn what_was_fused_is_drawn_with_the_list_that_is_there_as_with_another() {
             fusion.find_free();
         }
         for least in [0.0, 2.0] {
-            let drawn = Drawn { least, preferred: 3.0, since: 8, reach: 1.0 };
+            let drawn = Drawn { least, preferred: 3.0, since: 8, reach: 1.0, fill: 3.0 };
             let (listed, fresh) = (fusion.splat_listed(&pose, drawn), fusion.splat(camera, &pose, drawn));
             // Of discs about as well known the first in the list is drawn, and new ones come last here: another one of the same surface.
             let there = |points: &Image<[f32; 4]>| points.data().iter().map(|p| p[3] > 0.0).collect::<Vec<_>>();
@@ -1081,7 +1081,8 @@ fn a_plane_stays_a_plane_of_as_many_surfels_as_pixels() {
             [(1.0, camera), (2.0, camera), (2.0, common::camera(16, 12)), (3.0, common::camera(12, 9))]
         {
             let pose = Se3::exp([0.0, 0.0, 1.2 * (1.0 - away), 0.0, 0.0, 0.0]);
-            let (points, ..) = fusion.splat(seen_by, &pose, Drawn { least: 5.0, preferred: 5.0, since: 0, reach: 1.0 });
+            let (points, ..) =
+                fusion.splat(seen_by, &pose, Drawn { least: 5.0, preferred: 5.0, since: 0, reach: 1.0, fill: 3.0 });
             let size = DVec2::new(seen_by.width.into(), seen_by.height.into());
             let inner = |i: usize| {
                 let pixel = DVec2::new((i as u32 % seen_by.width).into(), (i as u32 / seen_by.width).into());

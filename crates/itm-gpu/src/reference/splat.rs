@@ -8,7 +8,7 @@ use itm_core::surfel::{Surfel, confidence_rank};
 use itm_core::{Image, Intrinsics, Se3, SurfelSettings};
 
 use crate::reference::associate::window;
-use crate::splat::{Drawn, FILL};
+use crate::splat::Drawn;
 
 /// Discs seen at less than this cosine from their side are not shown.
 pub const LEAST_FACING: f64 = 0.1;
@@ -112,7 +112,7 @@ pub fn kept(slots: &[Option<Surfel>], look: &Look<'_>, moved: DVec2, margin_m: f
     chosen.collect()
 }
 
-/// The discs of some that a pixel may show, and their depths: those that it meets, and where there are none, of the cells around it those that it meets within [`FILL`] of
+/// The discs of some that a pixel may show, and their depths: those that it meets, and where there are none, of the cells around it those that it meets within [`Drawn::fill`] of
 /// their radii.
 pub fn met(
     slots: &[Option<Surfel>],
@@ -127,7 +127,7 @@ pub fn met(
         let met = kept.iter().filter(move |(_, cell)| near(*cell)).filter_map(move |(i, _)| Some((*i, meet(*i)?)));
         met.collect::<Vec<_>>()
     };
-    Some(within(1.0)).filter(|met| !met.is_empty()).unwrap_or_else(|| within(f64::from(FILL)))
+    Some(within(1.0)).filter(|met| !met.is_empty()).unwrap_or_else(|| within(look.drawn.fill.into()))
 }
 
 /// For each pixel the slot of the surfel that it shows, and the depth at which it does: of the discs that are [`kept`] it chooses one of those that are [`met`].
@@ -159,7 +159,7 @@ mod tests {
             world_from_camera: &Se3::IDENTITY,
             depth_range_m: [0.2, 4.0],
             settings: &settings,
-            drawn: Drawn { least: 1.0, preferred: 5.0, since: 0, reach: 1.0 },
+            drawn: Drawn { least: 1.0, preferred: 5.0, since: 0, reach: 1.0, fill: 3.0 },
         };
         let surfel = |z: f32, confidence: f32| {
             let position = Vec3::new(0.0, 0.0, z);
