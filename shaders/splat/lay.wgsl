@@ -38,12 +38,12 @@ struct Params {
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var cell = id.x; cell < params.cells; cell += groups.x * 64u) {
         let key = kept[cell];
-        let index = listed[place_of(key)];
-        let at = index - params.first;
         if key == 0u {
             discs[cell].radius = 0.0;
             continue;
         }
+        let index = listed[place_of(key)];
+        let at = index - params.first;
         if index < params.first || at >= params.page {
             continue;
         }

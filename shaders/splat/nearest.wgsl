@@ -2,7 +2,7 @@
 import package::shared::camera::Camera;
 import package::shared::disc::{Disc, OTHERS, depth_on_disc, pixels_of_disc};
 import package::shared::span::span;
-import package::shared::surfel::{PREFERRED};
+import package::shared::surfel::PREFERRED;
 
 struct Params {
     camera: Camera,
