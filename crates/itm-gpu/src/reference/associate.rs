@@ -207,7 +207,7 @@ mod tests {
         let camera = Intrinsics::new(3, 3, 10.0, 10.0, 1.0, 1.0);
         let vertices = Image::from_fn(3, 3, |x, y| Some(camera.unproject(DVec2::new(x.into(), y.into()), 1.0)));
         let normals = Image::filled(3, 3, Some(DVec3::NEG_Z));
-        let settings = SurfelSettings::default();
+        let settings = SurfelSettings { patience: 20, ..SurfelSettings::default() };
         let measured = Measured {
             camera: &camera,
             world_from_camera: &Se3::IDENTITY,
