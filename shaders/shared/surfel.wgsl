@@ -36,6 +36,22 @@ fn pixel_of(goal: u32) -> u32 {
 // Of the complement of a depth's bits, which always has it: it is left to discs that are known well enough, so that they come first.
 const PREFERRED: u32 = 0x80000000u;
 
+// How near a depth is: the complement of its bits, of which the largest is the nearest, and first of all whether it is of a disc that is preferred. 0, as
+// zeroed memory has it, is none.
+fn nearness_of(z: f32, is_preferred: bool) -> u32 {
+    let bits = ~bitcast<u32>(z);
+    return select(bits & ~PREFERRED, bits, is_preferred);
+}
+
+fn depth_of(nearness: u32) -> f32 {
+    return bitcast<f32>(~(nearness | PREFERRED));
+}
+
+// The depth up to which others are of the same surface as the nearest: metres, and standard deviations more.
+fn last_depth(z: f32, window_m: f32, window_deviations: f32) -> f32 {
+    return z + window_m + window_deviations * depth_deviation(z);
+}
+
 // How well a surfel is known, in sixteenths of powers of two, from 1/64 to 1024.
 fn rank_of(confidence: f32) -> u32 {
     // Positive floats are in the order of their bits.

@@ -2,7 +2,7 @@
 import package::shared::camera::Camera;
 import package::shared::disc::{Disc, OTHERS, depth_on_disc, pixels_of_disc, rank_of_known};
 import package::shared::span::span;
-import package::shared::surfel::{PREFERRED, depth_deviation, key_of_rank};
+import package::shared::surfel::{PREFERRED, depth_of, key_of_rank, last_depth};
 
 struct Params {
     camera: Camera,
@@ -43,8 +43,7 @@ fn main(
             let pixel = u32(y) * params.camera.size.x + u32(x);
             let front = nearest[pixel];
             let is_alike = ((front & PREFERRED) != 0u) == is_preferred;
-            let first_z = bitcast<f32>(~(front | PREFERRED));
-            let last_z = first_z + params.window_m + params.window_deviations * depth_deviation(first_z);
+            let last_z = last_depth(depth_of(front), params.window_m, params.window_deviations);
             if z > 0.0 && is_alike && z <= last_z {
                 atomicMax(&chosen[pixel], key);
             }

@@ -3,7 +3,7 @@
 import package::shared::camera::{Camera, project};
 import package::shared::disc::LEAST_FACING;
 import package::shared::span::span;
-import package::shared::surfel::{Attributes, SEEN, PREFERRED, mark_of, submap_of, unpack_normal};
+import package::shared::surfel::{Attributes, SEEN, mark_of, nearness_of, submap_of, unpack_normal};
 
 struct Params {
     camera: Camera,
@@ -29,7 +29,7 @@ struct Params {
 @group(0) @binding(4) var<storage, read> attributes: array<Attributes>;
 // One plus the cell of each listed surfel, or 0, and its mark.
 @group(0) @binding(5) var<storage, read_write> targets: array<vec2<u32>>;
-// The complement of the depth's bits; zeroed memory has none.
+// The nearness of each cell's nearest.
 @group(0) @binding(6) var<storage, read_write> front: array<atomic<u32>>;
 @if(combined) @group(0) @binding(7) var<storage, read> camera_from_submaps: array<mat4x4<f32>>;
 
@@ -64,8 +64,7 @@ fn main(
         var goal = vec2(0u);
         if is_drawn && faces && is_near {
             let to = u32(cell.y) * size.x + u32(cell.x);
-            let bits = ~bitcast<u32>(centre.z);
-            atomicMax(&front[to], select(bits & ~PREFERRED, bits, place.w >= params.preferred));
+            atomicMax(&front[to], nearness_of(centre.z, place.w >= params.preferred));
             goal = vec2(to + 1u, mark_of(centre.z, place.w, params.preferred));
         }
         targets[i] = goal;

@@ -1,7 +1,7 @@
 // What each pixel shows of the discs of the cells around it: of those within a window behind the nearest, be it a large one, the best known.
 import package::shared::camera::{Camera, unproject};
 import package::shared::disc::{Disc, LEAST_FACING, OTHERS, rank_of_known};
-import package::shared::surfel::{PREFERRED, depth_deviation, key_of_rank};
+import package::shared::surfel::{PREFERRED, depth_of, key_of_rank, last_depth, nearness_of};
 
 struct Params {
     camera: Camera,
@@ -19,7 +19,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> discs: array<Disc>;
-// Complements of depths' bits: of large discs before, and of all after.
+// Nearness: of large discs before, and of all after.
 @group(0) @binding(2) var<storage, read_write> nearest: array<u32>;
 // Keys of cells by their surfels' ranks, or 0.
 @group(0) @binding(3) var<storage, read_write> chosen: array<u32>;
@@ -122,11 +122,10 @@ fn show(pixel: vec2<u32>, first: u32, row_a: Row, row_b: Row, row_c: Row) {
     var z = nearest_of(above, reach, is_preferred);
     z = min(z, min(nearest_of(beside, reach, is_preferred), nearest_of(below, reach, is_preferred)));
     if large != 0u && ((large & PREFERRED) != 0u) == is_preferred {
-        z = min(z, bitcast<f32>(~(large | PREFERRED)));
+        z = min(z, depth_of(large));
     }
-    let bits = ~bitcast<u32>(z);
-    nearest[i] = select(bits & ~PREFERRED, bits, is_preferred);
-    let last_z = z + params.window_m + params.window_deviations * depth_deviation(z);
+    nearest[i] = nearness_of(z, is_preferred);
+    let last_z = last_depth(z, params.window_m, params.window_deviations);
     let known = max(best(above, reach, last_z), max(best(beside, reach, last_z), best(below, reach, last_z)));
     if known == 0.0 || (known > OTHERS) != is_preferred {
         chosen[i] = 0u;

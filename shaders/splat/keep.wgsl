@@ -1,7 +1,7 @@
 // Which surfel each cell keeps: of those within a window behind the nearest the best known. The others' discs would show next to
 // nothing: there is a better one in their place.
 import package::shared::span::span;
-import package::shared::surfel::{SEEN, PREFERRED, depth_deviation, depth_of_mark, key_of_rank, rank_of_mark};
+import package::shared::surfel::{SEEN, PREFERRED, depth_of, depth_of_mark, key_of_rank, last_depth, rank_of_mark};
 
 struct Params {
     room: u32,
@@ -35,8 +35,7 @@ fn main(
         let cell = goal.x - 1u;
         let mark = goal.y;
         let nearest = front[cell];
-        let first_z = bitcast<f32>(~(nearest | PREFERRED));
-        let last_z = first_z + params.window_m + params.window_deviations * depth_deviation(first_z);
+        let last_z = last_depth(depth_of(nearest), params.window_m, params.window_deviations);
         // Both are preferred, or neither.
         if ((nearest ^ mark) & PREFERRED) == 0u && depth_of_mark(mark) <= last_z {
             atomicMax(&kept[cell], key_of_rank(rank_of_mark(mark), i));

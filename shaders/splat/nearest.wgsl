@@ -2,7 +2,7 @@
 import package::shared::camera::Camera;
 import package::shared::disc::{Disc, OTHERS, depth_on_disc, pixels_of_disc};
 import package::shared::span::span;
-import package::shared::surfel::PREFERRED;
+import package::shared::surfel::nearness_of;
 
 struct Params {
     camera: Camera,
@@ -14,7 +14,7 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> large: array<u32>;
 @group(0) @binding(2) var<storage, read> discs: array<Disc>;
-// The complement of the depth's bits; zeroed memory has none.
+// The nearness of each pixel's nearest.
 @group(0) @binding(3) var<storage, read_write> nearest: array<atomic<u32>>;
 
 // Few on software drivers, whose invocations then read what lies next to each other.
@@ -38,9 +38,8 @@ fn main(
         while y < pixels.w && x < pixels.z {
             let z = depth_on_disc(params.camera, vec2(f32(x), f32(y)), disc.centre, disc.normal, disc.radius);
             if z > 0.0 {
-                let bits = ~bitcast<u32>(z);
                 let pixel = u32(y) * params.camera.size.x + u32(x);
-                atomicMax(&nearest[pixel], select(bits & ~PREFERRED, bits, is_preferred));
+                atomicMax(&nearest[pixel], nearness_of(z, is_preferred));
             }
             x += 1;
             let is_next = x == pixels.z;

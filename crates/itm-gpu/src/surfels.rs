@@ -500,7 +500,7 @@ fn rows_of_bands(camera: &Intrinsics, most_bytes: u64) -> u32 {
     (rows.saturating_sub(2 * u64::from(BORDER)) as u32).clamp(1, camera.height.max(1))
 }
 
-/// Passes over a list whose length is known to the device alone stride over it.
+/// Passes over a list whose length is known to the device alone: workgroups stride over it, or have a part of it each.
 pub(crate) const OVER_LIST: Groups<'static> = Groups::Count([512, 1, 1]);
 
 /// The passes that list the surfels in view, in the order of their slots.

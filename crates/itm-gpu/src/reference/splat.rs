@@ -16,7 +16,7 @@ pub const LEAST_FACING: f64 = 0.1;
 pub const LARGEST_PX: f64 = 12.0;
 
 /// Cells to each side of the image in which surfels compete too.
-pub const BORDER: i32 = 13;
+pub const BORDER: i32 = LARGEST_PX as i32 + 1;
 
 /// How surfels are looked at.
 #[derive(Clone, Copy, Debug)]
