@@ -56,7 +56,10 @@ fn a_camera_that_does_not_wait_loses_frames_and_knows_how_many() {
     }
     assert_eq!(results.len() as u64 + running.dropped(), 30, "pushed in {pushed:?}");
     assert!(running.dropped() > 0 && results.is_sorted_by_key(|result| result.index));
-    assert_eq!(running.stop().trajectory().len(), results.len());
+    // How many come between two that are processed is up to the machine, and with them whether the camera is followed: what has
+    // been lost is not in the trajectory.
+    let posed = results.iter().filter(|result| result.world_from_camera.is_some()).map(|result| result.timestamp);
+    assert!(running.stop().trajectory().poses().iter().map(|pose| pose.timestamp).eq(posed));
 }
 
 #[test]
