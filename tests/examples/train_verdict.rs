@@ -2,8 +2,9 @@
 //!
 //! `cargo xtask train-verdict` runs this. Training: frames are fused at their exact poses (jittered by what a good track
 //! drifts), and each is then tracked from many starts, from where the camera was just before up to far away. A sample is
-//! wrong where the pose found is more than 5 cm or 5 degrees from the truth, right within half of that. Measuring: whole
-//! recordings of other paths, seeds and conditions are tracked as a user would, and each frame's error is counted against
+//! wrong where the pose found is more than 5 cm or 5 degrees from the truth, right within half of that. Maps are of voxels, then
+//! of surfels. Later frames, much of which the map does not show yet, are what a camera finds again after a loss: they count
+//! where the expected pose is in doubt. Measuring: whole recordings of other paths, seeds and conditions are tracked as a user would, and each frame's error is counted against
 //! the last frame with a good verdict.
 
 #![allow(clippy::print_stdout, clippy::unwrap_used, reason = "a program of the developers'")]
@@ -11,8 +12,8 @@
 use std::path::Path as FilePath;
 
 use itm_io::recording::{OpenOptions, Recording, open};
-use itm_slam::tracking::{Classifier, FEATURES, Features, terms};
-use itm_slam::{Device, Frame, FrameStatus, Poses, Se3, Settings, Slam};
+use itm_slam::tracking::{Classifier, FEATURES, Features, Regression, terms};
+use itm_slam::{Device, Frame, FrameStatus, Mode, Poses, Se3, Settings, Slam};
 use itm_synth::{Cover, DepthNoise, Path, SceneName, Sequence, Spec};
 use itm_tests::InMemory;
 use nalgebra::{DMatrix, DVector};
@@ -59,10 +60,16 @@ fn settings(voxel_size_m: f32) -> Settings {
     settings
 }
 
+#[derive(Clone, Copy)]
 struct Sample {
     features: Features,
     wrong: bool,
+    /// Of a frame after the next.
+    ahead: bool,
 }
+
+/// How many of the frames that are looked at a later one comes after the last that the map knows.
+const AHEAD: u32 = 8;
 
 fn error(a: &Se3, b: &Se3) -> (f64, f64) {
     let e = a.inverse() * *b;
@@ -70,30 +77,42 @@ fn error(a: &Se3, b: &Se3) -> (f64, f64) {
 }
 
 /// Frames of a recording, tracked from many starts against a map made at exact poses.
-fn samples(device: &Device, spec: Spec, every: u32, voxel_size_m: f32, random: &mut Random, out: &mut Vec<Sample>) {
+fn samples(device: &Device, spec: Spec, every: u32, settings: &Settings, random: &mut Random, out: &mut Vec<Sample>) {
     let spec = Spec { colour: false, ..spec };
     let sequence = Sequence::new(spec).unwrap();
-    let settings = settings(voxel_size_m);
-    let mut slam = Slam::new(device, &sequence.calibration(), &settings, Poses::Tracked).unwrap();
+    let mut slam = Slam::new(device, &sequence.calibration(), settings, Poses::Tracked).unwrap();
     let mut poses: Vec<Se3> = Vec::new();
     let before = out.len();
+    let mut probe = |slam: &mut Slam, frame: &Frame, starts: &[Se3], ahead: bool| {
+        let truth = frame.world_from_camera.unwrap();
+        for start in starts {
+            let Some(found) = slam.probe(frame, &[*start]).unwrap() else { continue };
+            let Some(features) = found.features else { continue };
+            let (metres, radians) = error(&truth, &found.estimate);
+            let wrong = metres > WRONG_M || radians > WRONG_RAD;
+            if wrong || (metres < 0.5 * WRONG_M && radians < 0.5 * WRONG_RAD) {
+                out.push(Sample { features, wrong, ahead });
+            }
+        }
+    };
     for i in (0..spec.frames).step_by(every as usize) {
         let frame = sequence.frame(i);
         let truth = frame.world_from_camera.unwrap();
         if let Some(&last) = poses.last() {
             let mut starts = vec![last];
             starts.extend([3, 8].iter().filter_map(|k| poses.len().checked_sub(*k)).map(|at| poses[at]));
-            for (metres, radians) in [(0.03, 0.03), (0.1, 0.1), (0.25, 0.25), (0.6, 0.6), (0.4, 0.0), (0.0, 0.5)] {
-                starts.push(truth * random.motion(metres, radians));
-            }
-            for start in starts {
-                let Some(found) = slam.probe(&frame, &[start]).unwrap() else { continue };
-                let Some(features) = found.features else { continue };
-                let (metres, radians) = error(&truth, &found.estimate);
-                let wrong = metres > WRONG_M || radians > WRONG_RAD;
-                if wrong || (metres < 0.5 * WRONG_M && radians < 0.5 * WRONG_RAD) {
-                    out.push(Sample { features, wrong });
-                }
+            let mut near = |truth: Se3, reach: &[(f64, f64)]| -> Vec<Se3> {
+                reach.iter().map(|(metres, radians)| truth * random.motion(*metres, *radians)).collect()
+            };
+            starts.extend(near(truth, &[(0.03, 0.03), (0.1, 0.1), (0.25, 0.25), (0.6, 0.6), (0.4, 0.0), (0.0, 0.5)]));
+            probe(&mut slam, &frame, &starts, false);
+            let later = i + AHEAD * every;
+            if poses.len().is_multiple_of(2) && later < spec.frames {
+                let frame = sequence.frame(later);
+                let truth = frame.world_from_camera.unwrap();
+                let mut starts = near(truth, &[(0.03, 0.03), (0.1, 0.1), (0.3, 0.1), (0.3, 0.3)]);
+                starts.push(last);
+                probe(&mut slam, &frame, &starts, true);
             }
         }
         // What a good track is off by, so that the map is not better than maps are.
@@ -103,16 +122,17 @@ fn samples(device: &Device, spec: Spec, every: u32, voxel_size_m: f32, random: &
     }
     let wrong = out[before..].iter().filter(|s| s.wrong).count();
     println!(
-        "{} ({}x{}): {} samples, {wrong} wrong",
+        "{} ({}x{}, {:?}): {} samples, {wrong} wrong",
         spec.path,
         spec.camera.width,
         spec.camera.height,
+        settings.mode,
         out.len() - before
     );
 }
 
 /// Logistic regression by Newton's method, with a penalty on the weights.
-fn fit(samples: &[Sample], classifier: &mut Classifier) {
+fn fit(samples: &[Sample], classifier: &Classifier) -> Regression {
     let rows: Vec<Vec<f64>> = samples.iter().map(|s| terms(&classifier.standardise(&s.features))).collect();
     let (n, d) = (rows.len(), rows[0].len());
     let wrong = samples.iter().filter(|s| s.wrong).count() as f64;
@@ -136,7 +156,8 @@ fn fit(samples: &[Sample], classifier: &mut Classifier) {
             break;
         }
     }
-    classifier.weights = w.iter().map(|v| (v * 1e4).round() / 1e4).collect();
+    let weights = w.iter().map(|v| (v * 1e4).round() / 1e4).collect();
+    Regression { weights, ..Regression::default() }
 }
 
 fn quantile(values: &mut [f64], share: f64) -> f64 {
@@ -144,57 +165,80 @@ fn quantile(values: &mut [f64], share: f64) -> f64 {
     values[((values.len() - 1) as f64 * share).round() as usize]
 }
 
-fn train(device: &Device, to: &FilePath) {
-    let mut random = Random(7);
-    let mut samples_of = Vec::new();
-    let small = (160, 120);
-    let large = (320, 240);
-    let s = &mut samples_of;
-    samples(device, spec(Path::Arc, 11, large), 2, 0.01, &mut random, s);
-    samples(device, spec(Path::Loop, 12, large), 9, 0.01, &mut random, s);
-    samples(device, spec(Path::Loop, 13, small), 5, 0.01, &mut random, s);
-    samples(device, spec(Path::Shake, 14, large), 3, 0.01, &mut random, s);
-    samples(device, spec(Path::Fast, 15, small), 4, 0.01, &mut random, s);
-    samples(device, spec(Path::Wall, 16, small), 4, 0.01, &mut random, s);
-    samples(device, Spec { scene: SceneName::BlankWall, ..spec(Path::Wall, 17, small) }, 5, 0.01, &mut random, s);
-    samples(device, spec(Path::Hall, 18, small), 6, 0.01, &mut random, s);
-    for cover in [Cover::PARTLY, Cover::GRADUALLY] {
-        samples(device, Spec { cover: Some(cover), ..spec(Path::Arc, 19, small) }, 1, 0.01, &mut random, s);
-    }
-    samples(device, Spec { noise: None, ..spec(Path::Loop, 20, small) }, 9, 0.01, &mut random, s);
-    samples(device, spec(Path::Arc, 21, large), 4, 0.005, &mut random, s);
-    let all = samples_of;
-    let of = |i: usize, good: bool| -> Vec<f64> {
-        all.iter().filter(|s| !good || !s.wrong).map(|s| s.features.0[i]).collect()
-    };
-    let mean: [f64; FEATURES] = std::array::from_fn(|i| of(i, false).iter().sum::<f64>() / all.len() as f64);
-    let scale = std::array::from_fn(|i| {
-        let v = of(i, false);
-        (v.iter().map(|x| (x - mean[i]).powi(2)).sum::<f64>() / v.len() as f64).sqrt().max(1e-3)
-    });
-    let usual = std::array::from_fn(|i| [0.01, 0.99].map(|share| quantile(&mut of(i, true), share)));
-    let mut classifier = Classifier { mean, scale, usual, weights: Vec::new(), good_below: 0.5, lost_above: 0.9 };
-    fit(&all, &mut classifier);
-    let fitted = classifier.clone();
+/// Where a regression's classes part: of the wrong poses of training so few may be good, and of the right ones so few lost; real
+/// conditions are harder. Unless it is said above which chance a frame is lost.
+fn limits(samples: &[Sample], classifier: &Classifier, lost_above: Option<f64>) -> [f64; 2] {
     let chances = |wrong: bool| -> Vec<f64> {
-        all.iter().filter(|s| s.wrong == wrong).map(|s| fitted.chance_wrong(&s.features)).collect()
+        samples.iter().filter(|s| s.wrong == wrong).map(|s| classifier.chance_wrong(&s.features)).collect()
     };
-    // Of wrong poses so few may be good, and of right ones so few lost, on the training set; real conditions are harder.
     let good_below = quantile(&mut chances(true), 0.004).min(0.5);
-    let lost_above = quantile(&mut chances(false), 0.998).max(good_below).max(0.9);
-    (classifier.good_below, classifier.lost_above) = (good_below, lost_above);
+    let lost_above = lost_above.unwrap_or_else(|| quantile(&mut chances(false), 0.998).max(good_below).max(0.9));
     let share =
         |v: Vec<f64>, f: &dyn Fn(f64) -> bool| 100.0 * v.iter().filter(|c| f(**c)).count() as f64 / v.len() as f64;
     println!(
         "trained on {} samples, {} wrong: good up to {good_below:.3}, lost above {lost_above:.3}; of the wrong {:.2} % are called \
          good, of the right {:.2} % poor or lost, {:.2} % lost",
-        all.len(),
+        samples.len(),
         chances(true).len(),
         share(chances(true), &|c| c <= good_below),
         share(chances(false), &|c| c > good_below),
         share(chances(false), &|c| c > lost_above),
     );
-    let head = "# The classifier of tracking's verdicts (crates/itm-slam/src/tracking/verdict.rs). Made by\n#   cargo xtask train-verdict\n";
+    [good_below, lost_above]
+}
+
+fn train(device: &Device, to: &FilePath) {
+    let mut all = Vec::new();
+    for mode in [Mode::Basic, Mode::Surfels] {
+        let mut random = Random(7);
+        let small = (160, 120);
+        let large = (320, 240);
+        let mut add = |spec: Spec, every: u32, voxel_size_m: f32| {
+            let settings = Settings { mode, ..settings(voxel_size_m) };
+            samples(device, spec, every, &settings, &mut random, &mut all);
+        };
+        add(spec(Path::Arc, 11, large), 2, 0.01);
+        add(spec(Path::Loop, 12, large), 9, 0.01);
+        add(spec(Path::Loop, 13, small), 5, 0.01);
+        add(spec(Path::Shake, 14, large), 3, 0.01);
+        add(spec(Path::Fast, 15, small), 4, 0.01);
+        add(spec(Path::Wall, 16, small), 4, 0.01);
+        add(Spec { scene: SceneName::BlankWall, ..spec(Path::Wall, 17, small) }, 5, 0.01);
+        add(spec(Path::Hall, 18, small), 6, 0.01);
+        for cover in [Cover::PARTLY, Cover::GRADUALLY] {
+            add(Spec { cover: Some(cover), ..spec(Path::Arc, 19, small) }, 1, 0.01);
+        }
+        // Much of what is known of views with hardly any depth.
+        for (path, seed, every) in [(Path::Arc, 22, 1), (Path::Loop, 23, 3), (Path::Fast, 24, 3)] {
+            let size = if path == Path::Arc { large } else { small };
+            add(Spec { cover: Some(Cover::GRADUALLY), ..spec(path, seed, size) }, every, 0.01);
+        }
+        add(Spec { noise: None, ..spec(Path::Loop, 20, small) }, 9, 0.01);
+        add(spec(Path::Arc, 21, large), 4, 0.005);
+    }
+    let expected: Vec<Sample> = all.iter().filter(|s| !s.ahead).copied().collect();
+    let without_jump = |s: &Sample| Sample { features: Features { jump: None, ..s.features }, ..*s };
+    let in_doubt: Vec<Sample> = all.iter().map(without_jump).collect();
+    let of = |i: usize, good: bool| -> Vec<f64> {
+        let counted = expected.iter().filter(|s| !good || !s.wrong);
+        counted.map(|s| s.features.values().nth(i).unwrap()).collect()
+    };
+    let mean: [f64; FEATURES] = std::array::from_fn(|i| of(i, false).iter().sum::<f64>() / expected.len() as f64);
+    let scale = std::array::from_fn(|i| {
+        let v = of(i, false);
+        (v.iter().map(|x| (x - mean[i]).powi(2)).sum::<f64>() / v.len() as f64).sqrt().max(1e-3)
+    });
+    let usual = std::array::from_fn(|i| [0.01, 0.99].map(|share| quantile(&mut of(i, true), share)));
+    let mut classifier =
+        Classifier { mean, scale, usual, expected: Regression::default(), in_doubt: Regression::default() };
+    classifier.expected = fit(&expected, &classifier);
+    classifier.in_doubt = fit(&in_doubt, &classifier);
+    let [good_below, lost_above] = limits(&expected, &classifier, None);
+    classifier.expected = Regression { good_below, lost_above, ..classifier.expected };
+    // What is wrong more likely than not is no pose to go on from.
+    let [good_below, lost_above] = limits(&in_doubt, &classifier, Some(0.5));
+    classifier.in_doubt = Regression { good_below, lost_above, ..classifier.in_doubt };
+    let head = "# The classifier of tracking's verdicts (crates/itm-slam/src/tracking/classifier.rs). Made by\n#   cargo xtask train-verdict\n";
     std::fs::write(to, head.to_string() + &toml::to_string(&classifier).unwrap()).unwrap();
 }
 

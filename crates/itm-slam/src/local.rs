@@ -161,7 +161,7 @@ impl Local {
             colour_lead: self.motion.colour_lead(frame, &eyes.settings.view),
             depth_from_colour: eyes.calibration.colour_from_depth.inverse(),
         };
-        let moment = Moment { frame, motion: &self.motion, age: self.age };
+        let moment = Moment { frame, motion: &self.motion, age: self.age, in_doubt: self.to_recover > 0 };
         track(&mut self.tracker, &mut objective, &moment).map(Some)
     }
 

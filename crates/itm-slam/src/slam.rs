@@ -344,6 +344,10 @@ impl Slam {
             Verdict::Poor => {
                 let fuse = settings.verdict.fuse_poor && self.primary.to_recover == 0;
                 if self.primary.to_recover > 0 {
+                    // It may have come to rest beside where it is, where no start from nearby leads away from.
+                    if searching && let Some(found) = self.relocalise(frame)? {
+                        return Ok(found);
+                    }
                     // Good ones must come in a row; but it is no longer lost.
                     self.primary.to_recover = after_loss - 1;
                 }

@@ -20,7 +20,7 @@ use itm_gpu::{DepthSums, PhotometricSums};
 use serde::{Deserialize, Serialize};
 
 pub(crate) use classifier::CHECK_LEVELS;
-pub use classifier::{Classifier, FEATURES, Features, terms};
+pub use classifier::{Classifier, FEATURES, Features, Regression, SEEN_FEATURES, terms};
 pub use equations::{Noise, NormalEquations};
 pub use motion::Motion;
 pub(crate) use on_gpu::{ModelObjective, colour_offset};

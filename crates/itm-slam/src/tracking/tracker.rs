@@ -22,6 +22,8 @@ pub struct Moment<'a> {
     pub motion: &'a Motion,
     /// The map's age.
     pub age: Age,
+    /// Whether the last pose may be wrong, after a loss, so that coming from near it speaks for nothing.
+    pub in_doubt: bool,
 }
 
 /// What a tracker has learnt of the sensor, and those that it is made of.
@@ -164,7 +166,7 @@ impl Tracker {
         moment: &Moment<'_>,
         starts: &[Se3],
     ) -> Result<Tracked, Error> {
-        let Moment { frame, motion, age } = *moment;
+        let Moment { frame, motion, age, in_doubt } = *moment;
         let held = motion.last().or(starts.first().copied()).unwrap_or_default();
         match self.settings.tracker.kind {
             TrackerKind::ForceFail => Ok(Tracked::lost(held, "this tracker always fails".into())),
@@ -186,7 +188,7 @@ impl Tracker {
                     outcome: &outcome,
                     checked: &checked,
                     pixels: self.camera.at_level(level as u32).pixels(),
-                    expected: motion.predicted(frame.timestamp).unwrap_or(held),
+                    expected: (!in_doubt).then(|| motion.predicted(frame.timestamp).unwrap_or(held)),
                     held,
                 };
                 let tracked = verdict::judge(&self.settings.tracker.verdict, &ended);

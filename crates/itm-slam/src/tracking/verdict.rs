@@ -69,6 +69,12 @@ impl Tracked {
         Self { verdict: Verdict::Good, reasons: Vec::new(), chance_wrong: 0.0, ..Self::lost(pose, String::new()) }
     }
 
+    /// Whether it would be good wherever the camera was expected.
+    pub(crate) fn is_good_anywhere(&self, settings: &VerdictSettings) -> bool {
+        let seen = self.features.filter(|_| settings.classify).map(|features| Features { jump: None, ..features });
+        self.verdict == Verdict::Good && seen.is_none_or(|seen| classified(settings, &seen).0 == Verdict::Good)
+    }
+
     pub(crate) fn lost(held: Se3, reason: String) -> Self {
         Self {
             world_from_camera: held,
@@ -96,10 +102,25 @@ pub(crate) struct Ended<'a> {
     /// The evaluation of [`check`](super::classifier::check) at the pose, and its number of pixels.
     pub(crate) checked: &'a Evaluation,
     pub(crate) pixels: usize,
-    /// Where the camera was expected.
-    pub(crate) expected: Se3,
+    /// Where the camera was expected; none where that is in doubt.
+    pub(crate) expected: Option<Se3>,
     /// The pose to hold where tracking was lost.
     pub(crate) held: Se3,
+}
+
+/// The classifier's verdict, and the chance that the pose is wrong.
+fn classified(settings: &VerdictSettings, features: &Features) -> (Verdict, f64) {
+    let classifier = Classifier::trained();
+    let (chance_wrong, regression) = (classifier.chance_wrong(features), classifier.regression(features));
+    let or_trained = |setting: f64, trained: f64| if setting > 0.0 { setting } else { trained };
+    let verdict = if chance_wrong > or_trained(settings.lost_above, regression.lost_above) {
+        Verdict::Lost
+    } else if chance_wrong > or_trained(settings.good_below, regression.good_below) {
+        Verdict::Poor
+    } else {
+        Verdict::Good
+    };
+    (verdict, chance_wrong)
 }
 
 /// The verdict on where a tracker ended.
@@ -109,10 +130,11 @@ pub(crate) fn judge(settings: &VerdictSettings, ended: &Ended<'_>) -> Tracked {
     let finite = if estimate.is_finite() { estimate } else { *held };
     let depth = outcome.last.depth;
     let (count, valid, squares) = depth.map_or((0, 0, 0.0), |d| (d.count, d.valid, d.squares));
-    let pairs = count + outcome.last.colour.iter().flatten().map(|c| c.count).sum::<u32>();
+    // A tracker that compares depth must find it: what colour says beside it does not show that the map is right.
+    let colour_pairs = outcome.last.colour.iter().flatten().map(|c| c.count).sum::<u32>();
+    let pairs = if depth.is_some() { count } else { colour_pairs };
     let rms_m = (squares / f64::from(count)).sqrt();
-    let classifier = Classifier::trained();
-    let features = checked.depth.and_then(|sums| Features::new(&sums, *pixels, &finite, expected));
+    let features = checked.depth.and_then(|sums| Features::new(&sums, *pixels, &finite, expected.as_ref()));
     let seen = checked.depth.map_or(0, |d| d.valid);
     let mut reasons = Vec::new();
     if seen == 0 {
@@ -131,16 +153,10 @@ pub(crate) fn judge(settings: &VerdictSettings, ended: &Ended<'_>) -> Tracked {
     let mut verdict = if reasons.is_empty() { Verdict::Good } else { Verdict::Lost };
     let mut chance_wrong = if reasons.is_empty() { 0.0 } else { 1.0 };
     if let (Verdict::Good, Some(features), true) = (verdict, &features, settings.classify) {
-        chance_wrong = classifier.chance_wrong(features);
-        let or_trained = |setting: f64, trained: f64| if setting > 0.0 { setting } else { trained };
-        if chance_wrong > or_trained(settings.lost_above, classifier.lost_above) {
-            verdict = Verdict::Lost;
-        } else if chance_wrong > or_trained(settings.good_below, classifier.good_below) {
-            verdict = Verdict::Poor;
-        }
+        (verdict, chance_wrong) = classified(settings, features);
         if verdict != Verdict::Good {
             reasons.push(format!("the pose is wrong with a chance of {:.0} %", 100.0 * chance_wrong));
-            reasons.extend(classifier.unusual(features));
+            reasons.extend(Classifier::trained().unusual(features));
         }
     }
     Tracked {
