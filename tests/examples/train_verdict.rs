@@ -165,14 +165,14 @@ fn quantile(values: &mut [f64], share: f64) -> f64 {
     values[((values.len() - 1) as f64 * share).round() as usize]
 }
 
-/// Where a regression's classes part: of the wrong poses of training so few may be good, and of the right ones so few lost; real
-/// conditions are harder. Unless it is said above which chance a frame is lost.
-fn limits(samples: &[Sample], classifier: &Classifier, lost_above: Option<f64>) -> [f64; 2] {
+/// Where a regression's classes part: such a share of the wrong poses of training may be good, and so few of the right ones lost; real
+/// conditions are harder.
+fn limits(samples: &[Sample], classifier: &Classifier, wrong_but_good: f64) -> [f64; 2] {
     let chances = |wrong: bool| -> Vec<f64> {
         samples.iter().filter(|s| s.wrong == wrong).map(|s| classifier.chance_wrong(&s.features)).collect()
     };
-    let good_below = quantile(&mut chances(true), 0.004).min(0.5);
-    let lost_above = lost_above.unwrap_or_else(|| quantile(&mut chances(false), 0.998).max(good_below).max(0.9));
+    let good_below = quantile(&mut chances(true), wrong_but_good).min(0.5);
+    let lost_above = quantile(&mut chances(false), 0.998).max(good_below).max(0.9);
     let share =
         |v: Vec<f64>, f: &dyn Fn(f64) -> bool| 100.0 * v.iter().filter(|c| f(**c)).count() as f64 / v.len() as f64;
     println!(
@@ -233,10 +233,10 @@ fn train(device: &Device, to: &FilePath) {
         Classifier { mean, scale, usual, expected: Regression::default(), in_doubt: Regression::default() };
     classifier.expected = fit(&expected, &classifier);
     classifier.in_doubt = fit(&in_doubt, &classifier);
-    let [good_below, lost_above] = limits(&expected, &classifier, None);
+    let [good_below, lost_above] = limits(&expected, &classifier, 0.004);
     classifier.expected = Regression { good_below, lost_above, ..classifier.expected };
-    // What is wrong more likely than not is no pose to go on from.
-    let [good_below, lost_above] = limits(&in_doubt, &classifier, Some(0.5));
+    // Several must be good in a row; and maps of real rooms contradict right poses more often than those of synthetic ones do.
+    let [good_below, lost_above] = limits(&in_doubt, &classifier, 0.02);
     classifier.in_doubt = Regression { good_below, lost_above, ..classifier.in_doubt };
     let head = "# The classifier of tracking's verdicts (crates/itm-slam/src/tracking/classifier.rs). Made by\n#   cargo xtask train-verdict\n";
     std::fs::write(to, head.to_string() + &toml::to_string(&classifier).unwrap()).unwrap();

@@ -60,7 +60,7 @@ impl Places {
         look_from(&mut self.trial, mapper, submap, submap_from_camera)?;
         let tracked = self.trial.track_from(eyes, frame, &[*submap_from_camera])?.expect("there is a model");
         // Good frames are enough: where it is expected, and what follows, speak for it too.
-        self.follow_up(mapper, eyes, frame, submap, tracked.estimate, None)
+        self.follow_up(mapper, eyes, frame, submap, tracked.estimate, 1.0)
     }
 
     /// Where coarse tracking leads from several proposals, at a glance; the best first.
@@ -122,7 +122,7 @@ impl Places {
             let Proposal { candidate, submap_from_camera } = place.proposal;
             let (submap, keyframe) = (candidate.keyframe.submap, candidate.keyframe.id);
             let most_wrong = self.settings.max_chance_wrong;
-            let tracked = self.follow_up(mapper, eyes, frame, submap, submap_from_camera, Some(most_wrong))?;
+            let tracked = self.follow_up(mapper, eyes, frame, submap, submap_from_camera, most_wrong)?;
             let (error, found) = (place.error, tracked.is_some());
             tracing::debug!(submap, keyframe, rank, error, found, "a place is followed up");
             let Some(tracked) = tracked else { continue };
@@ -134,7 +134,7 @@ impl Places {
     }
 
     /// Tracks again from where tracking led, with the map as seen from there, until all that the frame shows agrees with it;
-    /// `None` where it does not come to that. Where the camera is not expected there, how likely it may be wrong at most.
+    /// `None` where it does not come to that.
     fn follow_up(
         &mut self,
         mapper: &mut Mapper,
@@ -142,7 +142,7 @@ impl Places {
         frame: &Frame,
         submap: u16,
         mut pose: Se3,
-        max_chance_wrong: Option<f64>,
+        max_chance_wrong: f64,
     ) -> Result<Option<Tracked>, Error> {
         let Self { trial, unlearnt, settings: own, .. } = self;
         // What was learnt at other places must not tell one try from another.
@@ -154,12 +154,7 @@ impl Places {
             let (verdict, share) = (next.verdict.name(), next.inlier_share);
             tracing::debug!(submap, round, verdict, next.chance_wrong, share, "a place is tried");
             let as_cast = is_near(&pose, &next.estimate, own.cast_within_m, own.cast_within_rad);
-            let is_good = match max_chance_wrong {
-                // It comes to rest where it was tried, which is no jump, wherever that is.
-                Some(most) => next.is_good_anywhere(&eyes.settings.tracker.verdict) && next.chance_wrong <= most,
-                None => next.verdict == Verdict::Good,
-            };
-            if is_good && as_cast {
+            if next.verdict == Verdict::Good && next.chance_wrong <= max_chance_wrong && as_cast {
                 return Ok((next.inlier_share >= own.min_inlier_share).then_some(next));
             }
             if next.chance_wrong >= before {

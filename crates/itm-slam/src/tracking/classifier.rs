@@ -247,7 +247,7 @@ mod tests {
         let followed = Features { seen, jump: Some([0.557, 0.101]) };
         assert!(classifier.chance_wrong(&followed) < classifier.regression(&followed).good_below);
         let in_doubt = Features { seen, jump: None };
-        assert!(classifier.chance_wrong(&in_doubt) > classifier.regression(&in_doubt).lost_above);
+        assert!(classifier.chance_wrong(&in_doubt) > classifier.regression(&in_doubt).good_below);
         // The right pose, of a view of which the map shows half.
         let right = Features { seen: [0.528, 0.0, 0.003, 0.468, 0.986, 2.087, -4.312], jump: None };
         assert!(classifier.chance_wrong(&right) < classifier.regression(&right).good_below);

@@ -69,12 +69,6 @@ impl Tracked {
         Self { verdict: Verdict::Good, reasons: Vec::new(), chance_wrong: 0.0, ..Self::lost(pose, String::new()) }
     }
 
-    /// Whether it would be good wherever the camera was expected.
-    pub(crate) fn is_good_anywhere(&self, settings: &VerdictSettings) -> bool {
-        let seen = self.features.filter(|_| settings.classify).map(|features| Features { jump: None, ..features });
-        self.verdict == Verdict::Good && seen.is_none_or(|seen| classified(settings, &seen).0 == Verdict::Good)
-    }
-
     pub(crate) fn lost(held: Se3, reason: String) -> Self {
         Self {
             world_from_camera: held,
