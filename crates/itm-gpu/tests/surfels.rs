@@ -7,7 +7,7 @@ mod common;
 use std::sync::OnceLock;
 
 use common::{Gpu, RANGE_M, Scene, Shape, VIEW_OPTIONS, to_reference};
-use glam::{DVec2, DVec3, UVec2};
+use glam::{DVec2, DVec3, IVec2, UVec2};
 use itm_core::surfel::{SURFEL_WORDS, Surfel, confidence_rank};
 use itm_core::voxel::ColourVoxel;
 use itm_core::{Calibration, ColourImage, DepthConversion, Image, Intrinsics, Se3, SurfelSettings};
@@ -623,8 +623,14 @@ proptest! {
                 let fills = found.is_some_and(|i| meet(i, 1.0, margin_m).is_none());
                 let met = |some: &[_], margin_m| reference::splat::met(&slots, &look, some, pixel_at, margin_m);
                 let must = met(&surely, -margin_m);
-                // What may be met: where a disc is met that is one at the border, those that would fill as well.
-                let may: Vec<_> = [margin_m, -margin_m].iter().flat_map(|m| met(&perhaps, *m)).collect();
+                // What may be met: where no disc is surely met, those that would fill as well.
+                let mut may: Vec<_> = [margin_m, -margin_m].iter().flat_map(|m| met(&perhaps, *m)).collect();
+                let surely_met = surely.iter().any(|(i, _)| meet(*i, 1.0, -margin_m).is_some());
+                if !surely_met {
+                    let near = |cell: IVec2| (cell - pixel_at.as_ivec2()).abs().max_element() <= 1;
+                    let around = perhaps.iter().filter(|(_, cell)| near(*cell));
+                    may.extend(around.filter_map(|(i, _)| Some((*i, meet(*i, fill, margin_m)?))));
+                }
                 let nearest = |some: &[(usize, f64)]| {
                     let alike = some.iter().filter(|(i, _)| class.is_none_or(|class| is_preferred(*i) == class));
                     alike.map(|(_, z)| *z).fold(f64::INFINITY, f64::min)
