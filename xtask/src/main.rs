@@ -56,6 +56,9 @@ struct TrainArguments {
     /// Leave the classifier as it is, and only measure it
     #[arg(long)]
     measure: bool,
+    /// Train what judges frames after a loss, and leave the rest as it is
+    #[arg(long, conflicts_with = "measure")]
+    in_doubt: bool,
 }
 
 #[derive(Args)]
@@ -124,7 +127,9 @@ fn run() -> Result<()> {
         Task::Ci(arguments) => checks::ci(arguments.setup.installing(), arguments.keep_going),
         Task::Python(arguments) => python::test(arguments.installing()),
         Task::Demo(arguments) => demo::demo(arguments.setup.installing(), arguments.frames, arguments.out.as_deref()),
-        Task::TrainVerdict(arguments) => verdict::train(arguments.setup.installing(), arguments.measure),
+        Task::TrainVerdict(arguments) => {
+            verdict::train(arguments.setup.installing(), arguments.measure, arguments.in_doubt)
+        }
         Task::Accuracy(AccuracyArguments { setup, data, quick, only }) => {
             accuracy::accuracy(setup.installing(), data.as_deref(), quick, &only)
         }

@@ -11,11 +11,11 @@ use crate::{steps, workspace_root};
 const CLASSIFIER: &str = "assets/verdict.toml";
 
 /// Trains, unless it is only to be measured, and measures.
-pub(crate) fn train(installing: Installing, measure_only: bool) -> Result<()> {
+pub(crate) fn train(installing: Installing, measure_only: bool, in_doubt_alone: bool) -> Result<()> {
     setup::adapter(installing)?;
     if !measure_only {
         let to = workspace_root().join(CLASSIFIER);
-        steps::run(program().arg("train").arg(to))?;
+        steps::run(program().arg("train").arg(to).args(in_doubt_alone.then_some("in-doubt")))?;
     }
     // Built anew by cargo, with the classifier that was just written.
     steps::run(program().arg("measure"))?;
