@@ -2,10 +2,10 @@
 //!
 //! `cargo xtask train-verdict` runs this. Training: frames are fused at their exact poses (jittered by what a good track
 //! drifts), and each is then tracked from many starts, from where the camera was just before up to far away. A sample is
-//! wrong where the pose found is more than 5 cm or 5 degrees from the truth, right within half of that. Maps are of voxels, then
-//! of surfels. Later frames, much of which the map does not show yet, are what a camera finds again after a loss: they count
-//! where the expected pose is in doubt. Measuring: whole recordings of other paths, seeds and conditions are tracked as a user would, and each frame's error is counted against
-//! the last frame with a good verdict.
+//! wrong where the pose found is more than 5 cm or 5 degrees from the truth, right within half of that. What judges frames
+//! after a loss, without the jump from the expected pose, learns from more: maps of surfels, more covered lenses, and later
+//! frames, much of which the map does not show yet. Measuring: whole recordings of other paths, seeds and conditions are
+//! tracked as a user would, and each frame's error is counted against the last frame with a good verdict.
 
 #![allow(clippy::print_stdout, clippy::unwrap_used, reason = "a program of the developers'")]
 
